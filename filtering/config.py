@@ -41,10 +41,7 @@ class GapConfig:
 
 @dataclass(frozen=True)
 class LocalizerConfig:
-    """Settings of the filter; lengths follow from the measurement noise of the images (`ErrorModel`).
-
-    Settings in metres are also scaled in `vapor.benchmark.evaluation.lengths`.
-    """
+    """Settings of the filter; lengths follow from the measurement noise of the images (`ErrorModel`)."""
 
     max_hypotheses: int = 50
     """Largest number of particles, each a hypothesis with a Gaussian of its own."""

@@ -16,9 +16,9 @@ from tests.helpers.tiny_experiments import TINY_TRAIN
 from tests.helpers.tiny_model import SMALL
 from vapor.benchmark.recordings import record as record_module
 from vapor.benchmark.regressors import training_runs as runs_module
-from vapor.benchmark.regressors.scenes import _render, render_scenes
 from vapor.benchmark.regressors.table import TableConfig, TableExperiment, parse_scene
-from vapor.benchmark.trials import run as run_module
+from vapor.benchmark.regressors.training_runs import _render, render_scenes
+from vapor.benchmark.trials import replay as run_module
 from vapor.parallel.jobs import Workers
 from vapor.storage import StorageError, absent, fetched, listed, local_path, published, url_of, withdrawn
 from vapor.training import state as state_module

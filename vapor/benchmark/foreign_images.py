@@ -60,7 +60,6 @@ class Flagged:
 
     Attributes:
         kind: Name of the data, or of what was done to the familiar images.
-        images: How many.
         median: Median score.
         fraction: Fraction of the images with a score above 1.
         fraction_in_a_row: Of the images with nine before them, the fraction where the median of the ten is above 1; NaN
@@ -90,16 +89,13 @@ def evaluate_flags(
         familiar: Files and folders with images of its place that it was not trained on, or `PATH@START:STOP`.
         foreign: Likewise, of other places.
         every: Take only every so many images of each.
-        seed: Of noise.
         advance: Called with the number of files and folders evaluated and that of all.
 
     Raises:
-        VaporTrackError: the model says nothing about familiarity, or data cannot be read.
+        VaporTrackError: the model has no familiarity, or data cannot be read.
     """
     if model.description.familiarity is None:
-        raise VaporTrackError(
-            "the model does not say what is familiar to it, expected one that does (`vapor-track calibrate` adds it)"
-        )
+        raise VaporTrackError("the model has no familiarity, expected one with it (`vapor-track calibrate` adds it)")
     changes: dict[str, Change] = {"familiar": lambda image, rng: image, **FOREIGN, **CHANGED}
     scores: dict[str, list[Float64[np.ndarray, " n"]]] = {kind: [] for kind in changes}
     total = len(familiar) + len(foreign)

@@ -11,12 +11,9 @@ from tests.helpers.checks import no_checks
 from tests.helpers.full import full
 from tests.helpers.pages import ReadPage
 from vapor.benchmark.__main__ import main
-from vapor.benchmark.localization.summary import failed
+from vapor.benchmark.localization import failed
 from vapor.benchmark.recordings import record
-from vapor.benchmark.trials import kinds, setup
-from vapor.benchmark.trials import run as trial_run
-from vapor.checkpoints.file_format import load_checkpoint
-from vapor.tracking.methods import METHODS
+from vapor.benchmark.trials import choose, replay, setup
 
 pytestmark = pytest.mark.usefixtures("unchecked", "rough_light_in_module")
 
@@ -52,7 +49,7 @@ def calls(monkeypatch):
 
         return call
 
-    for module, name in ((record, "record_synthetic"), (trial_run, "localize")):
+    for module, name in ((record, "record_synthetic"), (replay, "localize")):
         monkeypatch.setattr(module, name, counted(name, getattr(module, name)))
     counter.interrupt_at = interrupt_at  # pyright: ignore[reportAttributeAccessIssue]
     return counter
@@ -105,7 +102,7 @@ def test_the_summary_has_every_run_and_the_tables_every_kind(folder, tiny_model,
     for kind, ablations in summary["summary"]["ceiling"].items():
         sure = ablations["full"]["belief"]["filter"]["said_converged"]["images"]
         said = f"of the {sure} images that it called converged" if sure else "never sure"
-        assert f"Ceiling, {kinds.KINDS[kind].meaning}: the filter " in page.words
+        assert f"Ceiling, {choose.KINDS[kind].meaning}: the filter " in page.words
         assert said in page.words
 
 
@@ -161,8 +158,8 @@ def test_walks_where_floors_look_alike_are_evaluated_but_for_the_floor_and_once_
 
 @full
 def test_a_run_of_a_standing_camera_is_as_long_as_it_stands(tiny_model, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(kinds, "STAND_S", 1.0)
-    monkeypatch.setattr(kinds, "STAND_AFTER", 10)
+    monkeypatch.setattr(choose, "STAND_S", 1.0)
+    monkeypatch.setattr(choose, "STAND_AFTER", 10)
     assert run(tmp_path, tiny_model, "--kinds", "standing", "standing-cue", "--ablations", "full", "no-tails") == 0
     out = capsys.readouterr().out
     assert "ceiling, standing where nothing is unique: 1 runs" in out
@@ -176,22 +173,6 @@ def test_a_run_of_a_standing_camera_is_as_long_as_it_stands(tiny_model, tmp_path
             assert each["cue_images"] >= 10
 
 
-def test_a_run_at_another_scale_has_the_results_of_the_unscaled_one(folder, tiny_model, calls, capsys):
-    scaled = ("scale-0.1", "scale-30")
-    assert run(folder, tiny_model, "--kinds", "cue", *scaled) == 0
-    assert calls == {"localize": 2}  # no recording is made
-    assert "the filter by kind of run" in capsys.readouterr().out
-    runs = {each["kind"]: each for each in json.loads((folder / "summary.json").read_text())["runs"]}
-    assert load_checkpoint(tiny_model).calibration.odometry is None
-    for kind in scaled:
-        for name in METHODS:
-            ours, theirs = runs[kind]["methods"][name], runs["cue"]["methods"][name]
-            same = pytest.approx(theirs["median_translation_m"], rel=1e-4 if name == "smoothed" else 1e-6)
-            assert ours["median_translation_m"] == same
-            assert ours["recall"] == theirs["recall"]
-        assert runs[kind]["belief"]["filter"]["status"] == runs["cue"]["belief"]["filter"]["status"]
-
-
 def test_only_a_filter_that_is_told_of_a_kidnap_starts_anew_there(folder, tiny_model, monkeypatch):
     anew, update = [], ParticleLocalizer.update
 
@@ -202,7 +183,7 @@ def test_only_a_filter_that_is_told_of_a_kidnap_starts_anew_there(folder, tiny_m
 
     monkeypatch.setattr(ParticleLocalizer, "update", watched)
     monkeypatch.setattr(setup, "results_code", lambda: "watched")
-    assert run(folder, tiny_model, "--kinds", "kidnap", "--ablations", "full", "told-of-kidnap") == 0
+    assert run(folder, tiny_model, "--kinds", "kidnap", "--ablations", "full", "known-kidnap") == 0
     assert len(anew) == 100  # two runs of 50 images, of which the last third is elsewhere
     assert [i for i, told in enumerate(anew) if told] == [50 + 33]
 
@@ -236,4 +217,4 @@ def test_a_recording_of_something_else_is_refused(folder, tiny_model, capsys):
         assert run(folder, tiny_model, *more) == 1
     finally:
         settings.write_text(before)
-    assert "recorded with seed 701, expected 700; remove it to make it anew" in capsys.readouterr().err
+    assert "recorded with seed 701, expected 700; remove it to make it again" in capsys.readouterr().err

@@ -8,10 +8,14 @@ from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from tests.helpers.poses import translated
-from vapor.benchmark.faults.effects import (
+from vapor.benchmark.faults.table import (
+    FAULTS,
     a_third,
     ahead,
+    find_moment,
     frozen,
+    image_after,
+    impossible,
     late,
     no_images,
     set_back,
@@ -20,8 +24,6 @@ from vapor.benchmark.faults.effects import (
     too_long,
     tripled,
 )
-from vapor.benchmark.faults.table import FAULTS, impossible
-from vapor.benchmark.faults.timing import find_moment, image_after
 from vapor.benchmark.trials.replay import Replay
 from vapor.tracking.dead_reckoning import dead_reckoning
 from vapor.tracking.passage import posterior_of

@@ -15,10 +15,9 @@ from tests.helpers.full import full
 from vapor import track
 from vapor.benchmark.__main__ import main
 from vapor.benchmark.faults import benchmark as fault_benchmark
-from vapor.benchmark.faults import recorded_walks, timing
-from vapor.benchmark.faults.recorded_walks import RecordedWalk
+from vapor.benchmark.faults import table, walks
 from vapor.benchmark.faults.table import NONE
-from vapor.benchmark.faults.walks import SyntheticWalk
+from vapor.benchmark.faults.walks import RecordedWalk, SyntheticWalk
 from vapor.benchmark.trials.replay import Replay
 
 pytestmark = pytest.mark.usefixtures("unchecked", "rough_light_in_module")
@@ -49,7 +48,7 @@ def folder(tmp_path_factory):
 @pytest.fixture
 def short(monkeypatch) -> None:
     for name, duration_s in (("CONVERGED_S", 1.0), ("FAULT_S", 1.0), ("SETTLED_S", 1.0), ("REMAINING_S", 2.0)):
-        monkeypatch.setattr(timing, name, duration_s)
+        monkeypatch.setattr(table, name, duration_s)
 
 
 @pytest.mark.usefixtures("short")
@@ -120,7 +119,7 @@ def run_recorded(folder, tiny_model, *recordings: Path, more: tuple[str, ...] = 
 @full
 @pytest.mark.usefixtures("short")
 def test_faults_befall_recordings_as_they_do_synthetic_walks(recording, tiny_model, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(recorded_walks, "_OTHER_IMAGES", 3)
+    monkeypatch.setattr(walks, "_OTHER_IMAGES", 3)
     followed = []
     follow = RecordedWalk.beliefs
     monkeypatch.setattr(RecordedWalk, "beliefs", lambda walk, replay: followed.append(replay) or follow(walk, replay))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vapor.benchmark.evaluation.intervals import Walks, dissent
+from vapor.benchmark.evaluation import Walks, dissent
 
 RNG = np.random.default_rng
 

@@ -1,17 +1,21 @@
 """Which trials a benchmark consists of: decided by where a landmark is in view, and by nothing else."""
 
-from dataclasses import replace
-from typing import get_args
-
 import numpy as np
 import pytest
 
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from vapor.benchmark.recordings.storage import CameraPath
-from vapor.benchmark.trials.kinds import KINDS, Kind, recorded_images, walk_frames
-from vapor.benchmark.trials.landmarks_in_view import choose_trials, cue_starts, spread_starts
-from vapor.benchmark.trials.trial import Segment, Trial
+from vapor.benchmark.trials.choose import (
+    KINDS,
+    Segment,
+    Trial,
+    choose_trials,
+    cue_starts,
+    recorded_images,
+    spread_starts,
+    walk_frames,
+)
 
 FRAMES = 60
 
@@ -63,45 +67,45 @@ def test_every_cue_run_sees_something_unique_in_its_first_half():
     assert trials[0].name == f"ceiling-cue-7-{trials[0].segments[0].start}"
 
 
-def test_every_kind_has_a_name_that_can_be_asked_for():
-    assert set(KINDS) == set(get_args(Kind))
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_fewer_runs_are_the_first_of_more_and_the_same_every_time(kind):
     assert chosen(kind, runs=3) == chosen(kind, runs=9)[:3]
     assert chosen(kind, runs=3, first_seed=8) != chosen(kind, runs=3)
 
 
-def test_seeds_without_anything_unique_are_passed_over_and_in_the_end_given_up():
+def test_seeds_without_anything_unique_are_passed_over():
     trials = chosen("cue", runs=2, path=lambda seed: wide_apart(seed) if seed > 20 else path_seeing([]))
     assert min(trial.segments[0].seed for trial in trials) == 21
-    with pytest.raises(VaporTrackError, match="ceiling: 0 cue trials of 60 images in seeds 7 to 57, expected 2"):
-        chosen("cue", runs=2, path=lambda seed: path_seeing([]))
 
 
-def test_runs_without_anything_unique_are_whole_recordings():
-    assert chosen("no-cue", runs=2) == [Trial("ceiling", "no-cue", (Segment(s, 0, FRAMES),)) for s in (7, 8)]
-    assert walk_frames("no-cue", FRAMES) == FRAMES
+def standing_still(seed: int) -> CameraPath:
+    return CameraPath(Poses.identity(2 * FRAMES), np.ones(2 * FRAMES, bool))
 
 
-def test_walks_are_whole_recordings_that_pass_something_unique_early():
-    assert chosen("walk", runs=2) == [Trial("ceiling", "walk", (Segment(s, 0, FRAMES),)) for s in (7, 8)]
-    assert walk_frames("walk", FRAMES) == recorded_images("walk", FRAMES) == FRAMES
-    assert KINDS["walk"].cues == "early"
+@pytest.mark.parametrize(
+    ("kind", "path"),
+    [("cue", lambda seed: path_seeing([])), ("standing-cue", lambda seed: path_seeing([])), ("kidnap", standing_still)],
+)
+def test_where_nothing_unique_is_seen_or_all_places_are_near_the_search_ends(kind, path):
+    expected = f"ceiling: 0 {kind} trials of 60 images in seeds 7 to 57, expected 2"
+    with pytest.raises(VaporTrackError, match=expected):
+        chosen(kind, runs=2, path=path)
 
 
-def test_runs_at_a_rate_are_the_same_recordings_of_which_some_images_are_seen():
-    for kind, stride in (("rate-3", 10), ("rate-10", 3), ("rate-30", 1)):
-        assert recorded_images(kind, walk_frames(kind, FRAMES)) == 3 * FRAMES
-        assert chosen(kind, runs=2) == [Trial("ceiling", kind, (Segment(s, 0, 3 * FRAMES),), stride) for s in (7, 8)]
-
-
-@pytest.mark.parametrize("kind", ["scale-0.1", "scale-30"])
-def test_runs_at_another_scale_are_those_of_cue(kind):
-    of_cue = chosen("cue", runs=5)
-    assert chosen(kind, runs=5) == [replace(trial, kind=kind, scale=KINDS[kind].scale) for trial in of_cue]
-    assert walk_frames(kind, FRAMES) == walk_frames("cue", FRAMES)
+@pytest.mark.parametrize(
+    ("kind", "cues", "rate", "stride"),
+    [
+        ("no-cue", "none", 1, 1),
+        ("walk", "early", 1, 1),
+        ("rate-3", "early", 3, 10),
+        ("rate-10", "early", 3, 3),
+        ("rate-30", "early", 3, 1),
+    ],
+)
+def test_some_kinds_take_whole_recordings_of_which_some_images_are_seen(kind, cues, rate, stride):
+    assert chosen(kind, runs=2) == [Trial("ceiling", kind, (Segment(s, 0, rate * FRAMES),), stride) for s in (7, 8)]
+    assert recorded_images(kind, walk_frames(kind, FRAMES)) == rate * FRAMES
+    assert KINDS[kind].cues == cues
 
 
 @pytest.mark.parametrize(("kind", "rate"), [("standing", 1), ("standing-30", 3)])
@@ -110,16 +114,10 @@ def test_a_standing_camera_walks_for_five_seconds_and_stands_for_five_minutes(ki
     assert walk_frames(kind, FRAMES) == 51  # while it stands, the path does not go on
 
 
-@pytest.mark.parametrize(("kind", "rate"), [("standing-cue", 1), ("standing-cue-30", 3)])
-def test_a_camera_stops_before_something_unique_where_there_is_any_after_five_seconds(kind, rate):
+def test_a_camera_stops_before_something_unique_where_there_is_any_after_five_seconds():
     seen = [*range(20, 30), *range(60, 64), *range(70, 90)]  # too early, and too short
-    (trial,) = chosen(kind, runs=1, path=lambda seed: path_seeing(seen if seed > 8 else range(50)))
-    assert trial.segments == (Segment(9, 0, rate * 3074, rate * 74),)
-
-
-def test_where_nothing_unique_is_ever_seen_no_camera_can_stand_before_it():
-    with pytest.raises(VaporTrackError, match="0 standing-cue trials"):
-        chosen("standing-cue", runs=1, path=lambda seed: path_seeing([]))
+    (trial,) = chosen("standing-cue", runs=1, path=lambda seed: path_seeing(seen if seed > 8 else range(50)))
+    assert trial.segments == (Segment(9, 0, 3074, 74),)
 
 
 def test_a_kidnap_goes_far_and_lands_where_something_unique_is_soon_seen():
@@ -140,15 +138,3 @@ def test_a_kidnap_goes_far_and_lands_where_something_unique_is_soon_seen():
         jumps.append(near(after.seed).world_from_camera.translation[after.start, 0] - left)
     assert min(np.abs(jumps)) > 2.0
     assert max(jumps) - min(jumps) > 4.0  # by chance among those
-
-
-def test_nothing_can_be_carried_where_all_places_are_near():
-    with pytest.raises(VaporTrackError, match="0 kidnap trials"):
-        choose_trials(
-            "ceiling", "kidnap", runs=1, first_seed=0, frames=FRAMES, path=lambda seed: standing_still(range(120))
-        )
-
-
-def standing_still(images) -> CameraPath:
-    path = path_seeing(images)
-    return CameraPath(Poses.identity(len(path.sees_cue)), path.sees_cue)

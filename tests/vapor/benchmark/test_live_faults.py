@@ -1,14 +1,12 @@
 """What is made of what was heard while a fault happened."""
 
-import json
-
 import numpy as np
 import pytest
 
 from sequences.recordings.message_definitions import decoder, encoder
 from vapor.benchmark.__main__ import main
 from vapor.benchmark.live.faults import changes, status_at, sure_from, sure_since, wrong_for
-from vapor.benchmark.live.robot import Robot, RobotConfig
+from vapor.benchmark.live.robot import Robot
 from vapor.benchmark.live.traffic import ODOMETRY, Outgoing
 
 STATUSES = [
@@ -36,13 +34,11 @@ def test_changes_are_told_once():
     assert changes([]) == []
 
 
-@pytest.mark.parametrize(("end_s", "since"), [(3.5, 3.0), (5.0, None), (9.0, 6.0)])
-def test_sure_is_what_stays_so_to_the_end(end_s, since):
-    assert sure_since(STATUSES, 0.0, end_s) == since
-
-
-def test_what_was_sure_before_a_fault_ended_is_sure_from_its_end_on():
-    assert sure_since(STATUSES, 8.0, 9.0) == 8.0
+@pytest.mark.parametrize(
+    ("from_s", "end_s", "since"), [(0.0, 3.5, 3.0), (0.0, 5.0, None), (0.0, 9.0, 6.0), (8.0, 9.0, 8.0)]
+)
+def test_the_filter_is_sure_since_it_remained_converged_to_the_end(from_s, end_s, since):
+    assert sure_since(STATUSES, from_s, end_s) == since
 
 
 def test_recovered_is_what_is_sure_for_a_second():
@@ -65,7 +61,7 @@ def odometry(x: float) -> bytes:
 
 
 def test_a_robot_drops_what_it_is_asked_to_and_sets_its_clock():
-    robot = Robot(anew=False)
+    robot = Robot(restarted=False)
     image, moved = Outgoing(0.0, "/camera", b"1234"), Outgoing(0.0, ODOMETRY, odometry(3.0))
     assert robot.alter(image) == (b"1234", 0)
     robot.request("drop /camera\n")
@@ -76,16 +72,11 @@ def test_a_robot_drops_what_it_is_asked_to_and_sets_its_clock():
     assert robot.alter(image) == (b"1234", -5_000_000_000)
 
 
-def test_a_robot_that_was_started_anew_has_odometry_from_the_identity_on():
-    robot = Robot(anew=True)
+def test_a_robot_that_was_restarted_has_odometry_from_the_identity_on():
+    robot = Robot(restarted=True)
     told = [robot.alter(Outgoing(0.0, ODOMETRY, odometry(x))) for x in (3.0, 3.5)]
     positions = [decoder("nav_msgs/Odometry")(each[0]).pose.pose.position.x for each in told if each is not None]
     assert positions == [0.0, 0.5]
-
-
-def test_the_settings_of_a_robot_pass_through_one_word():
-    config = RobotConfig("walk.mcap", 3, 10.0, 50.0, begin_ns=7, anew=True)
-    assert RobotConfig(**json.loads(config.word)) == config
 
 
 def test_a_fault_that_is_not_known_is_refused(capsys):

@@ -2,8 +2,8 @@
 
 import pytest
 
-from vapor.benchmark.commands.localization_tables import tables
-from vapor.benchmark.localization.summary import failed, summarise
+from vapor.benchmark.commands.localization import tables
+from vapor.benchmark.localization import failed, summarise
 from vapor.commands.console import show
 
 pytestmark = pytest.mark.usefixtures("unchecked")

@@ -18,9 +18,9 @@ from vapor.benchmark.__main__ import main
 from vapor.benchmark.real import benchmark as real_benchmark
 from vapor.benchmark.real import trained_network
 from vapor.benchmark.real.copied_places import CopiedPlaces
+from vapor.benchmark.real.published import poses_of, simulated_motions
 from vapor.benchmark.real.row import RowContext
 from vapor.benchmark.real.rows import ROWS
-from vapor.benchmark.real.stored_posteriors import poses_of, simulated_motions
 from vapor.benchmark.real.trained_network import TrainedNetwork
 from vapor.regressors.loss import LossConfig
 from vapor.regressors.network_config import NetworkConfig

@@ -15,9 +15,8 @@ from tests.helpers.tiny_experiments import TINY_TRAIN
 from vapor.benchmark.__main__ import main
 from vapor.benchmark.commands import regressors as command
 from vapor.benchmark.regressors import training_runs as runs_module
-from vapor.benchmark.regressors.scenes import Scene, rendered_height
 from vapor.benchmark.regressors.table import TableConfig, TableExperiment, markdown, parse_scene
-from vapor.benchmark.regressors.training_runs import TrainingRun
+from vapor.benchmark.regressors.training_runs import Scene, TrainingRun, rendered_height
 from vapor.regressors.network_config import NetworkConfig
 from vapor.training.presets import PRESETS
 

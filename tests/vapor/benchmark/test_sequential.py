@@ -12,7 +12,7 @@ from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from tests.helpers.modelled_walk import ERRORS, walk
-from vapor.benchmark.evaluation.sequential import evaluate_sequences, starts_of_sequences, succeeds
+from vapor.benchmark.evaluation import evaluate_sequences, starts_of_sequences, succeeds
 from vapor.tracking.follow import follow
 from vapor.tracking.passage import Passage
 

@@ -213,4 +213,4 @@ def test_the_benchmark_counts_what_is_flagged_of_every_kind(model, walks, capsys
 
 def test_a_model_that_knows_nothing_of_it_cannot_be_judged(tiny_model, walks, capsys):
     assert main(["vapor-benchmark", "familiarity", str(tiny_model), "--familiar", walks[0]]) == 1
-    assert "does not say what is familiar" in capsys.readouterr().err
+    assert "the model has no familiarity" in capsys.readouterr().err

@@ -11,7 +11,7 @@ from tests.helpers.climbing_frames import frames_of
 from tests.helpers.data_sets import make_7scenes, make_colmap
 from tests.helpers.sequence_files import Walk, as_split_folder
 from tests.helpers.tiny_training import TINY, make_frames, pose
-from vapor.benchmark.regressors.scenes import identity
+from vapor.benchmark.regressors.training_runs import identity
 from vapor.evaluation.validation import predict
 from vapor.regressors.network_config import make_regressor
 from vapor.regressors.scene_box import SceneBox

@@ -8,7 +8,7 @@ from typing import Any
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from vapor.benchmark.evaluation.intervals import Interval
+from vapor.benchmark.evaluation import Interval
 
 Aggregate = Mapping[str, Any]
 """What some runs add up to."""
@@ -24,7 +24,7 @@ def new_table(title: str | None, *columns: str) -> Table:
 
 def fraction(value: float | None, digits: int = 0) -> str:
     """A fraction in per cent, with its unit."""
-    return "–" if value is None else f"{100 * value:.{digits}f} %"
+    return "–" if value is None else f"{percent(value, digits)} %"
 
 
 def percent(value: float | None, digits: int = 0) -> str:

@@ -115,7 +115,7 @@ def _write(o: Options, output: Path, measured: Sequence[Measured]) -> None:
         "minutes": o.minutes,
         "live": o.live,
     }
-    write_report(output / "live.json", {"settings": settings, "measured": [each.told for each in measured]})
+    write_report(output / "live.json", {"settings": settings, "measured": [each.stored for each in measured]})
 
 
 def _table(o: Options, measured: Sequence[Measured]) -> Table:
@@ -132,8 +132,8 @@ def _table(o: Options, measured: Sequence[Measured]) -> Table:
             f"{each.speed:.2g}×",
             str(pose.sent),
             f"{100 * pose.answered / max(pose.sent, 1):.1f} %",
-            _told(pose),
-            _told(each.base_pose),
+            _cell(pose),
+            _cell(each.base_pose),
             f"{usage.first_mb:.1f}  {usage.last_mb:.1f}",
             f"{100 * usage.processor:.0f} %",
             f"{each.late_p99_ms:.1f} ms",
@@ -141,7 +141,7 @@ def _table(o: Options, measured: Sequence[Measured]) -> Table:
     return table
 
 
-def _told(latency: Latency) -> str:
+def _cell(latency: Latency) -> str:
     if not latency.answered:
         return "none"
     return f"{latency.median_ms:.1f}  {latency.p99_ms:.1f}  {latency.max_ms:.0f}"

@@ -14,7 +14,7 @@ from rich.table import Table
 
 from sequences.atomic import atomic_output
 from vapor.benchmark import PROGRAM
-from vapor.benchmark.commands.outputs import SharedOutputPath, claim_shared, publish_results
+from vapor.benchmark.commands.options import SharedOutputPath, claim_shared, publish_results
 from vapor.benchmark.regressors.table import TableConfig, TableExperiment, failures, markdown, parse_scene, scene_tables
 from vapor.commands.console import Overwrite, command_line, show
 from vapor.commands.progress import progress
@@ -95,7 +95,6 @@ def _table_page(results: Sequence[Mapping[str, Any]], gamma: float, settings: Ma
 
 
 def _stored(config: TrainConfig) -> dict[str, Any]:
-    """Settings of a training, as JSON."""
     return {key: str(value) if isinstance(value, Path) else value for key, value in asdict(config).items()}
 
 

@@ -2,25 +2,237 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from itertools import islice
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import cycle, islice
 from pathlib import Path
 from typing import Annotated, Literal
 
+import cv2
+import numpy as np
 import tyro
+from jaxtyping import UInt8
 from rich.table import Table
 
+from filtering.config import LocalizerConfig
+from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError, require_within
+from filtering.localizer import ParticleLocalizer
+from filtering.motion import Odometry
+from filtering.posterior import PosePosterior
+from filtering.se3 import Poses
 from sequences.frame import Camera, Frame
+from sequences.images.decoding import decode_image_bytes
 from sequences.reader import SequenceReader
 from vapor.benchmark import PROGRAM
-from vapor.benchmark.timing import time_step, untrained
+from vapor.checkpoints.calibration import Calibration
+from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.commands.console import parse, show
 from vapor.engines.engine import Device, EngineConfig
 from vapor.observation import VaporObservationModel
+from vapor.regressors.network_config import NetworkConfig, make_regressor
+from vapor.regressors.scene_box import SceneBox
 from vapor.threads import limited_threads
 from vapor.training.presets import PRESETS
+
+_IMAGE_SHAPE = (240, 320, 3)
+_REMEMBERED = 1000  # images
+_STEP = Odometry(Poses.exp(np.array([0.05, 0, 0, 0, 0, 0.01])), np.diag([0.005**2] * 3 + [0.003**2] * 3), 0.1)
+_WARM_UP = 3  # times that are not counted
+_PLACES, _SAMPLES = 30, 1000  # of an image that many places look like
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Wall-clock time of one part of a step.
+
+    Attributes:
+        part: What was timed.
+        median_ms: Median over the repetitions, milliseconds.
+        p95_ms: 95th percentile, milliseconds.
+        p99_ms: 99th percentile, milliseconds.
+    """
+
+    part: str
+    median_ms: float
+    p95_ms: float
+    p99_ms: float
+
+
+def time_step(
+    models: Mapping[str, VaporObservationModel],
+    *,
+    repetitions: int,
+    hypotheses: Sequence[int],
+    seed: int,
+    frames: Sequence[Frame] = (),
+) -> list[Timing]:
+    """Time decoding, network and filter separately; and, on a recording's images, landmarks and a whole step.
+
+    The filter is timed as it ships, over posteriors of one image, finding the places among the samples included; and
+    with beliefs of as many hypotheses as asked for, of which none is merged or dropped as light: the lightest are
+    thinned out in every step.
+
+    Args:
+        models: The network by each way to run it, which take turns, and its number of posterior samples.
+        repetitions: Of every part, after three that are not counted.
+        hypotheses: Sizes of the beliefs.
+        seed: Of the image and all draws.
+        frames: Images and odometry. Without any, the image is blurred noise, and no whole step is timed.
+    """
+    rng = np.random.default_rng(seed)
+    image = frames[0].image if frames else _blurred_noise(rng)
+    height, width, _ = image.shape
+    encoded = as_jpeg(image)
+    timings = [_time(f"decode a JPEG image of {width} × {height}", lambda: decode_image_bytes(encoded), repetitions)]
+    timings += time_by_turns(
+        {
+            f"network by {way}, {model.num_samples} samples": partial(model.propose, image, rng=rng)
+            for way, model in models.items()
+        },
+        repetitions,
+    )
+    if frames:
+        timings += _time_landmarks(next(iter(models.values())), frames, repetitions, rng)
+        timings += time_by_turns(
+            {
+                f"whole step by {way}, image bytes to estimate": WholeStep(ParticleLocalizer(model, rng=rng), frames)
+                for way, model in models.items()
+            },
+            repetitions,
+        )
+    model = next(iter(models.values()))
+    if hypotheses:
+        posteriors = [model.observe(image, rng=rng) for _ in range(repetitions + _WARM_UP + 1)]
+        label = f"filter as it ships, {model.num_samples} samples"
+        timings.append(_time_filter(label, LocalizerConfig(), posteriors[0], posteriors[1:], repetitions, rng))
+    for count in hypotheses:
+        config = LocalizerConfig(max_hypotheses=count, merge_divergence=0.0, least_weight=0.0)
+        first, *later = _alike(count, model.description.calibration.errors, repetitions + _WARM_UP + 1, rng)
+        timings.append(_time_filter("filter, none merged", config, first, later, repetitions, rng))
+    return timings
+
+
+def time_by_turns(parts: Mapping[str, Callable[[], object]], repetitions: int) -> list[Timing]:
+    """Time calls that take turns, so that all have their share of what else the machine does.
+
+    Args:
+        parts: The calls by what is timed.
+        repetitions: Of each, after three that are not counted.
+    """
+    durations_ms: dict[str, list[float]] = {part: [] for part in parts}
+    for _ in range(repetitions + _WARM_UP):
+        for part, call in parts.items():
+            begin = time.perf_counter()
+            call()
+            durations_ms[part].append(1e3 * (time.perf_counter() - begin))
+    return [
+        Timing(part, *map(float, np.percentile(each[_WARM_UP:], [50, 95, 99]))) for part, each in durations_ms.items()
+    ]
+
+
+def _time_landmarks(
+    model: VaporObservationModel, frames: Sequence[Frame], repetitions: int, rng: np.random.Generator
+) -> list[Timing]:
+    """Time what landmarks add to a step, image by image; nothing of a model without them."""
+    if model.verifier is None:
+        return []
+    verifier, camera = model.verifier, model.camera
+    proposed = cycle([(frame.image, model.propose(frame.image, rng=rng)) for frame in frames])
+
+    def verify() -> None:
+        image, posterior = next(proposed)
+        verifier.verify(image, camera, posterior)
+
+    return [_time("landmarks: features, matches, verified poses", verify, repetitions)]
+
+
+class WholeStep:
+    """From an image's bytes to the estimate: every call is a step on the next image of a recording, over and over.
+
+    From the last image to the first one the camera jumps, as if nothing were known of how it moved.
+
+    Args:
+        localizer: The filter and its network.
+        frames: Images, which are compressed here as JPEG, and the odometry between them.
+    """
+
+    def __init__(self, localizer: ParticleLocalizer, frames: Sequence[Frame]) -> None:
+        self._localizer = localizer
+        motions = [None, *(frame.odometry for frame in frames[1:])]
+        self._next = cycle(list(zip([as_jpeg(frame.image) for frame in frames], motions, strict=True)))
+
+    def __call__(self) -> None:
+        """Take the step."""
+        encoded, odometry = next(self._next)
+        self._localizer.step(decode_image_bytes(encoded), odometry)
+
+
+def as_jpeg(image: UInt8[np.ndarray, "h w 3"]) -> bytes:
+    """An RGB image as the bytes of a JPEG file."""
+    return bytes(cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 90])[1])
+
+
+def _blurred_noise(rng: np.random.Generator) -> UInt8[np.ndarray, "h w 3"]:
+    """An image that compresses like a photograph, unlike noise."""
+    return cv2.GaussianBlur(rng.integers(0, 256, _IMAGE_SHAPE, dtype=np.uint8), (0, 0), 3).astype(np.uint8)
+
+
+def _time_filter(
+    label: str,
+    config: LocalizerConfig,
+    first: PosePosterior,
+    later: Sequence[PosePosterior],
+    repetitions: int,
+    rng: np.random.Generator,
+) -> Timing:
+    """Time the filter from samples to estimate, and state how many hypotheses it had."""
+    localizer, seen, sizes = ParticleLocalizer(None, config, rng=rng), iter(later), []
+    localizer.update(first, None)
+
+    def update() -> None:
+        posterior = next(seen)
+        estimate = localizer.update(PosePosterior.from_samples(posterior.samples, posterior.errors), _STEP)
+        sizes.append(len(estimate.log_weights))
+
+    timing = _time(label, update, repetitions)
+    return replace(timing, part=f"{label}, {int(np.median(sizes[_WARM_UP:]))} hypotheses")
+
+
+def _alike(count: int, errors: ErrorModel, images: int, rng: np.random.Generator) -> Iterator[PosePosterior]:
+    """Posteriors of a walk through places that all look alike, the first of as many hypotheses as asked for."""
+    std = np.asarray(errors.typical_std)
+    spots = Poses.exp(rng.uniform(-1.0, 1.0, (_PLACES, 6)) * np.repeat([20.0 * errors.radius_m, 2.0], 3))
+    walked = Poses.identity()
+    for image in range(images):
+        number = _SAMPLES if image else count
+        draws = Poses.exp(std * rng.standard_normal((number, 6)))
+        samples = spots[rng.integers(0, _PLACES, number)] @ walked @ draws
+        if image:
+            yield PosePosterior.from_samples(samples, errors)
+        else:
+            yield PosePosterior.from_estimates(samples, std[0], std[3], errors)
+        walked = walked @ _STEP.previous_from_current
+
+
+def untrained(config: NetworkConfig) -> Checkpoint:
+    """A model with random weights, and random images in memory where it has one: it takes as long as a trained one."""
+    import torch
+
+    box = SceneBox((-5.0, -5.0, 0.0), (5.0, 5.0, 3.0))
+    network = make_regressor(config, box)
+    if (recalling := network.recalling) is not None:
+        features = torch.randn(_REMEMBERED, len(recalling.centre))
+        recalling.remember(features, torch.zeros(_REMEMBERED, 3), torch.eye(3).repeat(_REMEMBERED, 1, 1))
+    weights = network.state_dict()
+    return Checkpoint(config, box, Calibration(), Poses.exp(np.zeros((1, 6))), weights, network.memory)
+
+
+def _time(part: str, call: Callable[[], object], repetitions: int) -> Timing:
+    return time_by_turns({part: call}, repetitions)[0]
+
 
 _MAX_SEED = 2**63
 _IMAGES = 100  # of a recording at most: they are decoded before
@@ -113,7 +325,6 @@ def _models(o: Options, camera: Camera | None) -> dict[str, VaporObservationMode
 
 
 def _frames(recording: Path) -> tuple[list[Frame], Camera | None]:
-    """The first images of a recording, and their camera."""
     reader = SequenceReader(recording)
     frames = list(islice(reader, _IMAGES))
     if not frames:

@@ -9,19 +9,141 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
+
 from filtering.errors import VaporTrackError, require_within
 from sequences.options import SequenceOptions
-from vapor.benchmark.faults import timing
-from vapor.benchmark.faults.recorded_walks import RECORDED, RecordedWalk
-from vapor.benchmark.faults.runs import Chosen, FaultRun, find_walk, run_fault
-from vapor.benchmark.faults.table import FAULTS
-from vapor.benchmark.faults.walks import FaultWalk, SyntheticWalk
-from vapor.benchmark.recordings.settings import FileSettings, RecordingSettings
-from vapor.benchmark.recordings.storage import not_recorded
-from vapor.benchmark.trials.landmarks_in_view import trials_by_seed
-from vapor.benchmark.trials.recording_jobs import camera_paths, make_recordings
-from vapor.benchmark.trials.setup import Setup, TrialsConfig, make_setups
+from vapor.benchmark.faults import table
+from vapor.benchmark.faults.metrics import evaluate_fault
+from vapor.benchmark.faults.table import FAULTS, NONE, Film, find_moment, impossible, shown
+from vapor.benchmark.faults.walks import RECORDED, FaultWalk, RecordedWalk, SyntheticWalk
+from vapor.benchmark.recordings.storage import FileSettings, RecordingSettings, load_recording, not_recorded
+from vapor.benchmark.trials.choose import trials_by_seed
+from vapor.benchmark.trials.replay import Replay
+from vapor.benchmark.trials.setup import Setup, TrialsConfig, camera_paths, make_recordings, make_setups
+from vapor.cache import cached, code_digest
 from vapor.parallel.jobs import Workers, in_parallel
+from vapor.tracking.belief import Belief
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """A walk, and when faults begin.
+
+    Attributes:
+        begin: The image at which faults begin.
+        without: The result of the run without any, see `run_fault`.
+    """
+
+    walk: FaultWalk
+    begin: int
+    without: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class FaultRun:
+    """A walk with a fault.
+
+    Attributes:
+        begin: Image at which the fault begins.
+        film: The recording of what the camera shows during the fault; None if that is nothing or the walk itself.
+    """
+
+    walk: FaultWalk
+    begin: int
+    fault: str
+    film: RecordingSettings | FileSettings | None
+
+
+def find_walk(walks: Sequence[FaultWalk], directory: Path) -> Chosen | None:
+    """The first of the walks in which a fault may begin, see `find_moment`; None if there is none."""
+    for walk in walks:
+        without = run_without(walk, directory)
+        if without["begin"] is not None:
+            return Chosen(walk, without["begin"], without)
+    return None
+
+
+def run_without(walk: FaultWalk, directory: Path) -> dict[str, Any]:
+    """Run a walk without a fault.
+
+    Returns:
+        As `run_fault`, with `begin` and `methods` None if no fault may begin, and `impossible`, the faults that would
+        change nothing at its rate.
+    """
+
+    def compute() -> dict[str, Any]:
+        replay = walk.replay(directory / "recordings")
+        beliefs = walk.beliefs(replay)
+        begin = find_moment(beliefs["filter"].status, replay.times_ns)
+        whole = range(len(replay.times_ns))
+        methods = None if begin is None else _evaluate_all(beliefs, replay, begin, whole)
+        return _result(walk, NONE, begin, methods) | {"impossible": impossible(replay.times_ns)}
+
+    return _cached(walk, NONE, directory, compute)
+
+
+def run_fault(run: FaultRun, directory: Path) -> dict[str, Any]:
+    """Run a walk with a fault unless its result is cached in `directory / "faults"`.
+
+    Returns:
+        JSON: `name`, `scene`, `fault`, `begin`, and `methods`: see `evaluate_fault`.
+
+    Raises:
+        VaporTrackError: a recording is missing or was made with other settings.
+    """
+    walk, begin, fault, film = run.walk, run.begin, run.fault, run.film
+
+    def compute() -> dict[str, Any]:
+        replay = walk.replay(directory / "recordings")
+        cause, during = FAULTS[fault].cause, FAULTS[fault].during(begin, replay.times_ns)
+        faulty = cause(replay, during) if callable(cause) else _filmed(replay, during, cause, film, directory)
+        # The faulty replay may have more images; the fault begins at the same time.
+        first = int(np.searchsorted(faulty.times_ns, replay.times_ns[begin]))
+        during = FAULTS[fault].during(first, faulty.times_ns)
+        return _result(walk, fault, begin, _evaluate_all(walk.beliefs(faulty), faulty, first, during))
+
+    more = {"begin": begin, "film": None if film is None else film.name}
+    return _cached(walk, fault, directory, compute, more)
+
+
+def _evaluate_all(beliefs: Mapping[str, Belief], replay: Replay, begin: int, during: range) -> dict[str, Any]:
+    return {
+        name: evaluate_fault(belief, replay.times_ns, replay.truth, begin, during) for name, belief in beliefs.items()
+    }
+
+
+def _result(walk: FaultWalk, fault: str, begin: int | None, methods: Mapping[str, Any] | None) -> dict[str, Any]:
+    return {"name": walk.name, "scene": walk.group, "fault": fault, "begin": begin, "methods": methods}
+
+
+def _cached(
+    walk: FaultWalk,
+    fault: str,
+    directory: Path,
+    compute: Callable[[], dict[str, Any]],
+    more: Mapping[str, Any] = MappingProxyType({}),
+) -> dict[str, Any]:
+    settings = walk.settings() | {"fault": fault, "faults_code": code_digest("vapor.benchmark.faults"), **more}
+    return cached(directory / "faults" / f"{walk.name}-{fault}", settings, compute)
+
+
+def _filmed(
+    replay: Replay, during: range, cause: Film, film: RecordingSettings | FileSettings | None, directory: Path
+) -> Replay:
+    """The replay with a film shown; a short one repeats, and one of the walk itself replaces it."""
+    assert film is not None
+    recording = load_recording(film, directory / "recordings")
+    count = len(recording.times_ns)
+    if cause == "three-times":
+        odometry, truth = tuple(map(recording.motion, range(count))), recording.path.world_from_camera
+        posterior_poses, unfamiliarity = recording.posterior_poses, recording.unfamiliarity
+        return Replay(recording.times_ns, odometry, truth, posterior_poses, unfamiliarity, replay.cue_images)
+    numbers = np.arange(len(replay.times_ns)) % count
+    return shown(
+        replay, during, lambda image: recording.posterior_poses(image % count), recording.unfamiliarity[numbers]
+    )
+
 
 _BARREN = 20  # walks in a row without a moment for a fault, after which there is no hope of another
 
@@ -33,16 +155,16 @@ class FaultsConfig(TrialsConfig):
     walks: int = 10
     """Walks of each scene, each without a fault and with every one."""
     faults: tuple[str, ...] = tuple(FAULTS)
-    """What breaks, for five seconds if nothing else is said."""
+    """What breaks, for five seconds unless stated otherwise."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         require_within(self, walks=(1, 10**6))
-        least = round(10 * (timing.CONVERGED_S + timing.FAULT_S + timing.REMAINING_S))
+        least = round(10 * (table.CONVERGED_S + table.FAULT_S + table.REMAINING_S))
         if self.frames < least:
             raise VaporTrackError(
-                f"frames is {self.frames}, expected at least {least}: {timing.CONVERGED_S:g} s before a fault,"
-                f" {timing.FAULT_S:g} s with it, and {timing.REMAINING_S:g} s after it"
+                f"frames is {self.frames}, expected at least {least}: {table.CONVERGED_S:g} s before a fault,"
+                f" {table.FAULT_S:g} s with it, and {table.REMAINING_S:g} s after it"
             )
         for fault in self.faults:
             if fault not in FAULTS:
@@ -57,11 +179,8 @@ class FaultBenchmark:
     Args:
         scenes: Names of scenes, each with the model to localize by: a file, or the name of one that ships.
         directory: For recordings and results; an interrupted benchmark continues where it was.
-        config: Settings.
         recordings: MCAP files and rosbag2 folders with odometry and true poses, each a walk, by name.
         model: The model to localize in them by.
-        reading: What to read of them.
-        workers: Where jobs are done; None for as many processes here as configured.
 
     Raises:
         VaporTrackError: a model that cannot be used.
@@ -120,7 +239,7 @@ class FaultBenchmark:
             longest_s = max(float(each[-1] - each[0]) / 1e9 for each in times_ns)
             raise VaporTrackError(
                 f"none of {len(unused)} recordings, the longest of {longest_s:.1f} s, is converged for"
-                f" {timing.CONVERGED_S:g} s with {timing.FAULT_S + timing.REMAINING_S:g} s to go, expected one at least"
+                f" {table.CONVERGED_S:g} s with {table.FAULT_S + table.REMAINING_S:g} s to go, expected one at least"
             )
         return chosen, unused
 
@@ -159,7 +278,7 @@ class FaultBenchmark:
             if not batch or len(refused) > _BARREN + len(found):
                 raise VaporTrackError(
                     f"{scene}: {len(found)} of {len(found) + len(refused)} walks from seed {c.first_seed} on are"
-                    f" converged for {timing.CONVERGED_S:g} s with {timing.FAULT_S + timing.REMAINING_S:g} s to go,"
+                    f" converged for {table.CONVERGED_S:g} s with {table.FAULT_S + table.REMAINING_S:g} s to go,"
                     f" expected {c.walks}"
                 )
         return found, refused
@@ -176,7 +295,7 @@ class FaultBenchmark:
 
     def localize(self, chosen: Sequence[Chosen]) -> Iterator[dict[str, Any]]:
         """The result of every walk with every fault, in no order; cached ones are not computed again."""
-        jobs = [(run.walk, run.begin, run.fault, run.film, self.directory) for run in self.runs(chosen)]
+        jobs = [(run, self.directory) for run in self.runs(chosen)]
         yield from in_parallel(run_fault, jobs, self._workers)
 
     def runs(self, chosen: Sequence[Chosen]) -> list[FaultRun]:

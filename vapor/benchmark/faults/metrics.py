@@ -12,9 +12,8 @@ import numpy as np
 from jaxtyping import Bool, Int64
 
 from filtering.se3 import Poses
-from vapor.benchmark.faults import timing
-from vapor.benchmark.faults.table import FAULTS, NONE
-from vapor.benchmark.faults.timing import LONG_S, image_after
+from vapor.benchmark.faults import table
+from vapor.benchmark.faults.table import FAULTS, LONG_S, NONE, image_after
 from vapor.evaluation.trajectory import convergence_s, is_right
 from vapor.tracking.belief import Belief
 
@@ -25,9 +24,7 @@ def evaluate_fault(
     """How well a method did with a fault.
 
     Args:
-        belief: After each of n images.
         times_ns: Stamps (n,), more or less evenly spaced.
-        truth: True poses, batch (n,).
         begin: Image at which the fault begins.
         during: Images that are affected.
 
@@ -39,29 +36,29 @@ def evaluate_fault(
         most it was "converged" and not right without a break, and `longest_at_s`, when that began (None: never).
     """
     right = is_right(belief.best, truth)
-    said = {name: np.array([status == name for status in belief.status]) for name in ("converged", "lost")}
-    wrong = said["converged"] & ~right
-    settled = image_after(timing.FAULT_S + timing.SETTLED_S, begin, times_ns)
-    noticed = said["lost"][image_after(timing.NOTICED_S, max(begin, during.start), times_ns) : during.stop]
+    is_status = {name: np.array([status == name for status in belief.status]) for name in ("converged", "lost")}
+    wrong = is_status["converged"] & ~right
+    settled = image_after(table.FAULT_S + table.SETTLED_S, begin, times_ns)
+    noticed = is_status["lost"][image_after(table.NOTICED_S, max(begin, during.start), times_ns) : during.stop]
     first, longest = longest_run(wrong)
     elapsed_s = (times_ns - times_ns[0]) / 1e9
     return {
         "success": convergence_s(times_ns, right) is not None,
         "right": float(right[begin:].mean()),
         "right_after": float(right[settled:].mean()),
-        "converged": float(said["converged"][begin:].mean()),
-        "lost": float(said["lost"][begin:].mean()),
+        "converged": float(is_status["converged"][begin:].mean()),
+        "lost": float(is_status["lost"][begin:].mean()),
         "noticed": float(noticed.mean()) if len(noticed) else None,
-        "lost_ever": float(said["lost"].mean()),
+        "lost_ever": float(is_status["lost"].mean()),
         "sure_and_wrong": float(wrong[begin:].mean()),
         "longest_s": longest * float(np.median(np.diff(elapsed_s))),
         "longest_at_s": float(elapsed_s[first]) if longest else None,
     }
 
 
-def longest_run(said: Bool[np.ndarray, " n"]) -> tuple[int, int]:
+def longest_run(flags: Bool[np.ndarray, " n"]) -> tuple[int, int]:
     """First image and length of the longest run of true values, the first of several; length 0 if there is none."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], said, [False]]).astype(int)))
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int)))
     first, length = edges[::2], edges[1::2] - edges[::2]
     if not len(first):
         return 0, 0

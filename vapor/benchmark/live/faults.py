@@ -44,7 +44,7 @@ class Fault:
         begin: What the robot is asked to do at its beginning.
         end: And at its end.
         lasts_s: How long.
-        killed: Whether the robot is killed, and started anew at the end.
+        killed: Whether the robot is killed, and restarted at the end.
         words: Further options of `live`.
         lossy: Whether a fifth of the robot's datagrams is lost, all the time.
     """
@@ -60,7 +60,7 @@ class Fault:
 
 FAULTS = {
     "none": Fault("no fault"),
-    "killed": Fault("robot killed for 5 s, odometry anew", lasts_s=5.0, killed=True),
+    "killed": Fault("robot killed for 5 s, odometry restarted", lasts_s=5.0, killed=True),
     "camera": Fault("camera silent", f"drop {IMAGE}", "resume"),
     "odometry": Fault("odometry silent", f"drop {ODOMETRY}", "resume"),
     "slow": Fault("images at twice the speed", words=("--num-samples", "100000")),
@@ -72,10 +72,10 @@ FAULTS = {
 
 @dataclass
 class Timelines:
-    """What was heard, each with its time by the monotonic clock, seconds.
+    """Messages received, each with its time by the monotonic clock, seconds.
 
     Attributes:
-        statuses: What diagnostics said.
+        statuses: Statuses of the diagnostics.
         poses: Stamps of /estimate/pose.
         transforms: Of tf.
         bases: Stamps and positions of /estimate/base_pose.
@@ -90,8 +90,8 @@ class Timelines:
         """Take all that comes from now on."""
 
         def status(raw: RawMessage) -> None:
-            told = decoder("diagnostic_msgs/DiagnosticArray")(raw.data).status[0]
-            values = {each.key: each.value for each in told.values}
+            (first, *_) = decoder("diagnostic_msgs/DiagnosticArray")(raw.data).status
+            values = {each.key: each.value for each in first.values}
             self.statuses.append((time.monotonic(), values.get("status", "none")))
 
         def pose(raw: RawMessage) -> None:
@@ -160,8 +160,8 @@ def sure_since(statuses: Sequence[tuple[float, str]], from_s: float, end_s: floa
 
 def sure_from(statuses: Sequence[tuple[float, str]], from_s: float, end_s: float) -> float | None:
     """The first time from one on that it was `converged` and remained so for a second; None where there is none."""
-    told = changes([(from_s, status_at(statuses, from_s)), *(each for each in statuses if from_s < each[0] <= end_s)])
-    spans = pairwise([*told, (end_s, "")])
+    later = changes([(from_s, status_at(statuses, from_s)), *(each for each in statuses if from_s < each[0] <= end_s)])
+    spans = pairwise([*later, (end_s, "")])
     return next((now[0] for now, then in spans if now[1] == "converged" and then[0] - now[0] >= _AGAIN_S), None)
 
 
@@ -181,17 +181,15 @@ def wrong_for(times_s: Sequence[float], errors_m: Sequence[float], *, most_s: fl
 
 
 class _Robot:
-    """The process of a robot."""
-
     def __init__(self, config: RobotConfig, *, lossy: bool) -> None:
         command = [sys.executable, "-m", "vapor.benchmark.live.robot", config.word]
         env = {**os.environ, **({"CYCLONEDDS_URI": _LOSSY} if lossy else {})}
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=env)
         assert self._process.stdout is not None
-        told = self._process.stdout.readline().strip()
-        if not told:
+        begin = self._process.stdout.readline().strip()
+        if not begin:
             raise VaporTrackError(f"the robot ended with status {self._process.wait()}")
-        self.begin_ns = int(told)
+        self.begin_ns = int(begin)
 
     def request(self, line: str) -> None:
         assert self._process.stdin is not None
@@ -220,28 +218,25 @@ def run_fault(
     """Play a walk to `vapor-track live`, and let a fault happen once the estimate was sure for a while.
 
     Args:
-        fault: Which.
-        recording: The walk.
-        walk: The same, read; it has true poses.
+        walk: The recording, read; it has true poses.
         words: Options of `live`, its model among them.
         domain: ROS domain to do it in, of this machine.
-        sleep: Waits for so many seconds.
 
     Raises:
         VaporTrackError: others are in the domain, or `live` does not end well.
     """
     config = RobotConfig(str(recording), domain, _RATE, _ODOMETRY_HZ)
-    heard = Timelines()
+    received = Timelines()
     with closing(join(DdsOptions(domain=domain, localhost=True))) as transport:
         sleep(_FOUND_S)
         require_alone(transport)
         with running_live(domain, [*words, *fault.words]), _ended(_Robot(config, lossy=fault.lossy)) as robots:
-            heard.listen(transport)
+            received.listen(transport)
             begun_s = time.monotonic()
             sure_s = None
             while sure_s is None and time.monotonic() < begun_s + _MOST_S:
                 sleep(0.1)
-                since_s = sure_since(heard.statuses, begun_s, time.monotonic())
+                since_s = sure_since(received.statuses, begun_s, time.monotonic())
                 if since_s is not None and time.monotonic() - since_s >= _SURE_S:
                     sure_s = time.monotonic()
             begin_s = time.monotonic()
@@ -250,37 +245,37 @@ def run_fault(
                 robots[0].kill()
             sleep(fault.lasts_s)
             if fault.killed:
-                config = replace(config, begin_ns=robots[0].begin_ns, anew=True)
+                config = replace(config, begin_ns=robots[0].begin_ns, restarted=True)
                 robots.append(_Robot(config, lossy=fault.lossy))
             robots[-1].request(fault.end)
             end_s = time.monotonic()
             sleep(_AFTER_S)
             until_s, begin_ns = time.monotonic(), robots[0].begin_ns
-    return _outcome(fault, heard, walk, begin_ns, (begun_s, sure_s, begin_s, end_s, until_s))
+    return _outcome(fault, received, walk, begin_ns, (begun_s, sure_s, begin_s, end_s, until_s))
 
 
 def _outcome(
     fault: Fault,
-    heard: Timelines,
+    received: Timelines,
     walk: Walk,
     walk_ns: int,
     at_s: tuple[float, float | None, float, float, float],
 ) -> Outcome:
     begun_s, sure_s, begin_s, end_s, until_s = at_s
     lasted_s = end_s - begin_s
-    within = [each for each in heard.statuses if begin_s < each[0] <= until_s]
+    within = [each for each in received.statuses if begin_s < each[0] <= until_s]
     unsure_s = next((told_s for told_s, status in within if status != "converged"), None)
-    again_s = sure_from(heard.statuses, end_s, until_s)
-    bases = [base for base in heard.bases if begin_s <= base[0] <= until_s]
+    again_s = sure_from(received.statuses, end_s, until_s)
+    bases = [base for base in received.bases if begin_s <= base[0] <= until_s]
     shift_ns = 5_000_000_000 if fault.begin.startswith("clock") else 0
     errors_m = _errors_m([(s, n + shift_ns, pose) for s, n, pose in bases], walk, walk_ns)
     return Outcome(
         fault.said,
         None if sure_s is None else sure_s - begun_s - _SURE_S,
-        sum(begin_s <= told_s < end_s for told_s, _ in heard.poses) / lasted_s,
-        sum(begin_s <= told_s < end_s for told_s in heard.transforms) / lasted_s,
+        sum(begin_s <= told_s < end_s for told_s, _ in received.poses) / lasted_s,
+        sum(begin_s <= told_s < end_s for told_s in received.transforms) / lasted_s,
         None if unsure_s is None else unsure_s - begin_s,
-        [status for _, status in changes([(begin_s, status_at(heard.statuses, begin_s)), *within])],
+        [status for _, status in changes([(begin_s, status_at(received.statuses, begin_s)), *within])],
         None if again_s is None else again_s - end_s,
         wrong_for([base[0] for base in bases], errors_m),
         max(errors_m, default=float("nan")),
@@ -288,7 +283,6 @@ def _outcome(
 
 
 def _errors_m(bases: Sequence[tuple[float, int, Poses]], walk: Walk, walk_ns: int) -> list[float]:
-    """How far poses of the base are off, metres."""
     assert walk.world_from_camera is not None
     if not bases:
         return []

@@ -76,11 +76,9 @@ class Measured:
 
     Attributes:
         rate: Images a second.
-        width: Of images, pixels.
-        height: Of images, pixels.
         speed: Seconds of the recording that were played in one.
         pose: From an image to the pose of the camera.
-        base_pose: From odometry to the pose of the base, which is not told while the estimate is not converged.
+        base_pose: From odometry to the pose of the base, which is not published while the estimate is not converged.
         usage: Of the process.
         late_p99_ms: How late messages were published, milliseconds, 99 %: what there is beside latencies.
     """
@@ -95,7 +93,7 @@ class Measured:
     late_p99_ms: float
 
     @property
-    def told(self) -> dict[str, Any]:
+    def stored(self) -> dict[str, Any]:
         """All of it, as JSON has it: None for what is not known."""
         return {
             name: {key: None if each != each else each for key, each in value.items()}
@@ -148,14 +146,14 @@ class LiveProcess:
 
     Attributes:
         process: The process.
-        log: File with all that it says.
+        log: File with all that it prints.
     """
 
     process: subprocess.Popen[bytes]
     log: Path
 
     def require_running(self) -> None:
-        """Check that it has not ended. Raises VaporTrackError with the last line that it said."""
+        """Check that it has not ended. Raises VaporTrackError with the last line that it printed."""
         if (status := self.process.poll()) is not None:
             raise VaporTrackError(f"`vapor-track live` ended with status {status}: {self._last_line}")
 
@@ -186,7 +184,7 @@ class LiveProcess:
     @property
     def _last_line(self) -> str:
         lines = self.log.read_text(encoding="utf-8", errors="replace").split("\n")
-        return next((line for line in reversed(lines) if line.strip()), "it said nothing")
+        return next((line for line in reversed(lines) if line.strip()), "it printed nothing")
 
 
 @contextmanager
@@ -267,13 +265,10 @@ def measure(
     """Play a walk to `vapor-track live`, and measure from its first answer on.
 
     Args:
-        walk: What to play.
         words: Options of `live`, its model among them.
         domain: ROS domain to do it in, of this machine.
         rate: Images a second.
-        size: Width and height of the images.
-        duration_s: How long to measure.
-        advance: Told how many seconds are done, and all.
+        advance: Called with the number of seconds done and of all.
 
     Raises:
         VaporTrackError: others are in the domain, or `live` ends by itself, does not answer within two minutes, or does

@@ -34,7 +34,7 @@ class RobotConfig:
         rate: Images a second.
         odometry_hz: Messages of odometry a second.
         begin_ns: When the walk began, by the clock of this machine; 0 for now.
-        anew: Whether its odometry begins at the identity wherever it is.
+        restarted: Whether its odometry begins at the identity wherever it is.
     """
 
     recording: str
@@ -42,7 +42,7 @@ class RobotConfig:
     rate: float
     odometry_hz: float
     begin_ns: int = 0
-    anew: bool = False
+    restarted: bool = False
 
     @property
     def word(self) -> str:
@@ -53,14 +53,14 @@ class RobotConfig:
 class Robot:
     """What becomes of messages; requests come from another thread."""
 
-    def __init__(self, *, anew: bool) -> None:
+    def __init__(self, *, restarted: bool) -> None:
         self._dropped: frozenset[str] = frozenset()
         self._shift_ns = 0
-        self._anew = anew
+        self._restarted = restarted
         self._now_from_before: Poses | None = None
 
     def request(self, line: str) -> None:
-        """Do what a line says from now on."""
+        """Obey a line from now on."""
         words = line.split()
         if words[:1] == ["drop"]:
             self._dropped = frozenset(words[1:])
@@ -73,10 +73,12 @@ class Robot:
         """See `play`."""
         if outgoing.topic in self._dropped:
             return None
-        data = self._begun_anew(outgoing.data) if self._anew and outgoing.topic == ODOMETRY else outgoing.data
+        data = (
+            self._restarted_odometry(outgoing.data) if self._restarted and outgoing.topic == ODOMETRY else outgoing.data
+        )
         return data, self._shift_ns
 
-    def _begun_anew(self, data: bytes) -> bytes:
+    def _restarted_odometry(self, data: bytes) -> bytes:
         """Odometry that began at the identity with the first message."""
         message = decoder("nav_msgs/Odometry")(data)
         pose = pose_from_message(message.pose.pose)
@@ -92,10 +94,10 @@ class Robot:
 
 
 def main(word: str) -> None:
-    """Play without end; says when the walk began, in nanoseconds, once others had time to find it."""
+    """Play without end; prints when the walk began, in nanoseconds, once others had time to find it."""
     config = RobotConfig(**json.loads(word))
     traffic = Traffic(read_walk(Path(config.recording)), config.rate, odometry_hz=config.odometry_hz)
-    robot = Robot(anew=config.anew)
+    robot = Robot(restarted=config.restarted)
 
     def listen() -> None:
         for line in sys.stdin:

@@ -338,8 +338,6 @@ def play(
     A message that is late is published at once.
 
     Args:
-        transport: Where.
-        traffic: What.
         from_s: How far along its way it begins.
         alter: What becomes of a message when it is due.
     """

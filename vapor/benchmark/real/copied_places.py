@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
@@ -29,10 +29,8 @@ from sequences.frame import BASE_FROM_CAMERA, Frame
 from sequences.odometry import OdometryNoise, simulate_odometry
 from sequences.writer import SequenceWriter
 from vapor.benchmark.real.row import Draw, RowContext
-from vapor.benchmark.real.trained_network import posterior_of_recorded, trained_model, training_code
-from vapor.benchmark.recordings.record import record_file
-from vapor.benchmark.recordings.settings import FileSettings, seen_digest
-from vapor.benchmark.recordings.storage import load_recording, not_recorded
+from vapor.benchmark.real.trained_network import posterior_of_recorded, record_posteriors, trained_model, training_code
+from vapor.benchmark.recordings.storage import FileSettings, load_recording, seen_digest
 from vapor.cache import digest
 from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.checkpoints.file_format import load_checkpoint
@@ -53,14 +51,12 @@ class CopiedPlaces:
     """A place of others' images that stands in the map several times; the camera walks in one of the copies.
 
     Attributes:
-        name: Name of the row.
         training: Folders of the data, `PATH@START:STOP`.
         walk: Folder of the data whose images are walked through, forwards or backwards, from any of them.
         unique: Which of poses, as the data state them, belong to the part that is there once, (n,).
         offsets_m: Where each copy stands.
         own: The copy that the camera walks in.
         rate_hz: Images a second of the walk, whose data have no stamps to be trusted.
-        unit_m: Lengths are evaluated in units of so many metres.
         config: How to train: as `train` does without options.
     """
 
@@ -71,7 +67,6 @@ class CopiedPlaces:
     offsets_m: tuple[tuple[float, float, float], ...]
     own: int
     rate_hz: float
-    unit_m: float = 1.0
     config: TrainConfig = PRESETS["auto"]
 
     @property
@@ -90,13 +85,11 @@ class CopiedPlaces:
         return tuple(dict.fromkeys([*(entry.split("@")[0] for entry in self.training), self.walk]))
 
     def prepare(self, context: RowContext, seed: int) -> dict[str, Any]:
-        """Copy, train, and ask the network about every image, once for all draws."""
+        """Copy, train, and record the posterior of every image, once for all draws."""
         checkpoint = load_checkpoint(self._trained(context))
-        settings, recordings = self._recording(context, checkpoint), context.folder("recordings")
-        if not_recorded([settings], recordings):
-            context.advance("asking the network", seed, None)
-            record_file(settings, self._walked(context), checkpoint, recordings, engine=context.network.engine)
-        return {"recording": settings.stored, "calibration": asdict(checkpoint.calibration), "seed": seed}
+        settings = self._recording(context, checkpoint)
+        recorded = record_posteriors(context, settings, lambda: self._walked(context), checkpoint, seed)
+        return {**recorded, "seed": seed}
 
     def draw(self, context: RowContext, seed: int, config: LocalizerConfig) -> Draw:
         """A walk that begins anywhere and goes on to the part that is there once, and beyond."""
@@ -120,7 +113,6 @@ class CopiedPlaces:
             checkpoint.calibration.errors,
             config if fit is None else replace(config, slow_errors=fit.slow_errors),
             {"before": since < 0, f"{_AFTER_S:g} s after": after & (np.cumsum(after) == 1), "after": after},
-            self.unit_m,
             in_sequences=False,
         )
 
@@ -158,7 +150,6 @@ class CopiedPlaces:
         return {name: frames for name, frames in copies.items() if frames}
 
     def _copied(self, frames: list[Frame], copy: int, *, only_common: bool) -> Iterator[Frame]:
-        """Images as another copy would have given them."""
         look = np.random.default_rng([copy, 3])
         gain, gamma = look.uniform(*_GAIN), look.uniform(*_GAMMA)
         left, top = look.uniform(size=2)
@@ -181,7 +172,6 @@ class CopiedPlaces:
 
     @cached_property
     def _settings(self) -> dict[str, Any]:
-        """What the model depends on, as JSON."""
         content = {
             "training": self.training,
             "walk": self.walk,

@@ -1,11 +1,10 @@
-"""What a row of `vapor-benchmark real` must offer, and what it is given and returns."""
+"""Input and output of the rows of `vapor-benchmark real`."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool
@@ -27,9 +26,6 @@ class RowContext:
     Attributes:
         data: Folder with the recordings of others.
         output: Folder for models, sequences, recordings and results.
-        num_samples: Posterior samples per image.
-        network: What runs networks.
-        advance: Called with the progress.
     """
 
     data: Path
@@ -69,41 +65,3 @@ class Draw:
     evaluated: Mapping[str, Bool[np.ndarray, " n"]]
     unit_m: float = 1.0
     in_sequences: bool = True
-
-
-@runtime_checkable
-class Row(Protocol):
-    """A recording that methods are evaluated on."""
-
-    @property
-    def name(self) -> str:
-        """Its own name."""
-        ...
-
-    @property
-    def group(self) -> str:
-        """Name of the rows that differ from it in one thing only."""
-        ...
-
-    @property
-    def simulated(self) -> bool:
-        """Whether there are several draws of its odometry."""
-        ...
-
-    @property
-    def unit_m(self) -> float:
-        """Lengths are evaluated in units of so many metres."""
-        ...
-
-    @property
-    def needs(self) -> tuple[str, ...]:
-        """Files and folders of the data that must be there."""
-        ...
-
-    def prepare(self, context: RowContext, seed: int) -> dict[str, Any]:
-        """Make what a draw needs, unless it is there; returns all that its result depends on besides code, as JSON."""
-        ...
-
-    def draw(self, context: RowContext, seed: int, config: LocalizerConfig) -> Draw:
-        """A draw that has been prepared."""
-        ...

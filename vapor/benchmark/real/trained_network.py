@@ -18,8 +18,7 @@ from sequences.datasets.convert import convert
 from sequences.odometry import OdometryNoise
 from vapor.benchmark.real.row import Draw, RowContext
 from vapor.benchmark.recordings.record import record_file
-from vapor.benchmark.recordings.settings import FileSettings, seen_digest
-from vapor.benchmark.recordings.storage import Recording, load_recording, not_recorded
+from vapor.benchmark.recordings.storage import FileSettings, Recording, load_recording, not_recorded, seen_digest
 from vapor.cache import code_digest, digest
 from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.checkpoints.file_format import load_checkpoint
@@ -38,13 +37,11 @@ class TrainedNetwork:
     """A model trained on some images of a place with the settings of `train`, localizing in the rest.
 
     Attributes:
-        name: Name of the row.
         training: Folders of the data, `PATH@START:STOP`.
         dataset: Folder of the data with the images that are localized.
         frames: The first of them, and the one after the last; None: to the end.
         odometry: File of the data with recorded odometry; None: it is simulated.
         evaluated: Which of n images are evaluated, by a name for them.
-        unit_m: Lengths are evaluated in units of so many metres.
         config: How to train: as `train` does without options.
     """
 
@@ -56,7 +53,6 @@ class TrainedNetwork:
     evaluated: Mapping[str, Callable[[int], Bool[np.ndarray, " n"]]] = field(
         default_factory=lambda: {"": lambda n: np.ones(n, bool)}
     )
-    unit_m: float = 1.0
     config: TrainConfig = PRESETS["auto"]
 
     @property
@@ -76,7 +72,7 @@ class TrainedNetwork:
         return tuple(dict.fromkeys([*folders, self.dataset, *([self.odometry] if self.odometry else [])]))
 
     def prepare(self, context: RowContext, seed: int) -> dict[str, Any]:
-        """Convert, train, and ask the network about every image."""
+        """Convert, train, and record the posterior of every image."""
         file, _ = self._sequence(context, seed)
         if not fetched(file).is_file():
             context.advance("converting", seed, None)
@@ -92,11 +88,7 @@ class TrainedNetwork:
             )
             published(file)
         checkpoint = load_checkpoint(self._trained(context))
-        settings, recordings = self._recording(context, seed, checkpoint), context.folder("recordings")
-        if not_recorded([settings], recordings):
-            context.advance("asking the network", seed, None)
-            record_file(settings, file, checkpoint, recordings, engine=context.network.engine)
-        return {"recording": settings.stored, "calibration": asdict(checkpoint.calibration)}
+        return record_posteriors(context, self._recording(context, seed, checkpoint), lambda: file, checkpoint, seed)
 
     def draw(self, context: RowContext, seed: int, config: LocalizerConfig) -> Draw:
         """The posteriors of the network, and the odometry of the converted file."""
@@ -118,7 +110,6 @@ class TrainedNetwork:
         return json.loads(json.dumps(content))
 
     def _trained(self, context: RowContext) -> Path:
-        """The model file."""
         data = [context.data / entry for entry in self.training]
         return trained_model(
             context,
@@ -159,8 +150,19 @@ def trained_model(
     return file
 
 
+def record_posteriors(
+    context: RowContext, settings: FileSettings, file: Callable[[], Path], checkpoint: Checkpoint, seed: int
+) -> dict[str, Any]:
+    """Record the posteriors of a file unless that is done; returns what they depend on, as JSON."""
+    recordings = context.folder("recordings")
+    if not_recorded([settings], recordings):
+        context.advance("computing posteriors", seed, None)
+        record_file(settings, file(), checkpoint, recordings, engine=context.network.engine)
+    return {"recording": settings.stored, "calibration": asdict(checkpoint.calibration)}
+
+
 def posterior_of_recorded(recording: Recording, checkpoint: Checkpoint) -> Callable[[int], PosePosterior]:
-    """What gives the posterior of an image of a recording, by its number."""
+    """The posterior of an image of a recording, by its number."""
     errors, landmarks = checkpoint.calibration.errors, checkpoint.landmarks
 
     def posterior(image: int) -> PosePosterior:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,20 +23,21 @@ from sequences.rendering.render import sees_cue
 from sequences.scenes import find_scene
 from sequences.synthesize import synthesize, write_synthetic
 from sequences.synthetic_sequence import SyntheticSequence
-from vapor.benchmark.foreign_images import FOREIGN, Image
-from vapor.benchmark.recordings.settings import FileSettings, RecordingSettings
+from vapor.benchmark.foreign_images import FOREIGN
 from vapor.benchmark.recordings.storage import (
     PATH,
     SAMPLES,
     SETTINGS,
     CameraPath,
+    FileSettings,
+    RecordingSettings,
     load_path,
     to_rows,
     verified_arrays,
     write_samples_header,
 )
 from vapor.checkpoints.checkpoint import Checkpoint
-from vapor.engines.engine import EngineName, Precision
+from vapor.engines.engine import EngineName
 from vapor.observation import VaporObservationModel
 from vapor.storage import published
 from vapor.threads import limited_threads
@@ -72,9 +73,7 @@ def record_file(
     Raises:
         VaporTrackError: the file cannot be read or lacks some of it, or the directory cannot be written to.
     """
-    rng = np.random.default_rng([settings.seed, settings.num_samples])
-    asked = _Asked(settings.num_samples, rng, settings.images, _change(settings), engine, settings.precision)
-    _store(settings, directory, lambda folder: _observe(file, checkpoint, asked, folder, reading=reading))
+    _store(settings, directory, lambda folder: _observe(file, settings, checkpoint, folder, engine, reading=reading))
 
 
 def record_synthetic(
@@ -85,9 +84,7 @@ def record_synthetic(
     seen = sees_cue(sequence.scene, sequence.camera, sequence.world_from_camera)
     file = folder / "sequence.mcap"
     write_synthetic(sequence, file)
-    rng = np.random.default_rng([settings.seed, settings.num_samples])
-    asked = _Asked(settings.num_samples, rng, len(seen), _change(settings), engine, settings.precision)
-    found = _observe(file, checkpoint, asked, folder, seen=seen)
+    found = _observe(file, settings, checkpoint, folder, engine, seen=seen)
     if found != len(seen):
         raise VaporTrackError(f"{file}: {found} images read, expected the {len(seen)} that were written")
     file.unlink()
@@ -154,50 +151,32 @@ def _store(settings: RecordingSettings | FileSettings, directory: Path, record: 
         ) from error
 
 
-@dataclass(frozen=True)
-class _Asked:
-    """What the network is asked for: how many samples, of at most how many images, each changed how; and by what."""
-
-    num_samples: int
-    rng: np.random.Generator
-    images: int | None
-    changed: Callable[[Image], Image]
-    engine: EngineName
-    precision: Precision
-
-
-def _change(settings: RecordingSettings | FileSettings) -> Callable[[Image], Image]:
-    """What is done to every image before the network sees it."""
-    name, rng = settings.change, np.random.default_rng([settings.seed, settings.num_samples, 1])
-    return lambda image: image if name is None else np.ascontiguousarray(FOREIGN[name](image, rng))
-
-
 def _observe(
     file: Path,
+    settings: RecordingSettings | FileSettings,
     checkpoint: Checkpoint,
-    asked: _Asked,
     folder: Path,
+    engine: EngineName,
     *,
     seen: Bool[np.ndarray, " n"] | None = None,
     reading: SequenceOptions | None = None,
 ) -> int:
-    """Ask the network about the images of a file, and write the answers with the true poses and the odometry.
-
-    Returns:
-        Number of images.
-    """
+    """Write the posteriors of a file's images with true poses and odometry; returns the number of images."""
+    most = settings.images if isinstance(settings, FileSettings) else None
+    rng = np.random.default_rng([settings.seed, settings.num_samples])
+    noise = np.random.default_rng([settings.seed, settings.num_samples, 1])
     reader = SequenceReader(file, reading, true_poses="required")
     model = VaporObservationModel(
         checkpoint,
-        num_samples=asked.num_samples,
+        num_samples=settings.num_samples,
         device="cpu",
         camera=reader.camera,
-        engine=asked.engine,
-        precision=asked.precision,
+        engine=engine,
+        precision=settings.precision,
     )
     times_ns, odometry, covariance, truth, unfamiliarity, verified = [], [], [], [], [], []
     ended: Frame | None = None
-    shape = (asked.num_samples, 12)
+    shape = (settings.num_samples, 12)
     with (folder / SAMPLES).open("wb") as samples:
         write_samples_header(samples, (reader.num_images, *shape))
         for frame in reader:
@@ -210,7 +189,10 @@ def _observe(
                     f"{file}: the image at {lacking.time_ns} ns has no {what}, expected one of every image between the"
                     " first and the last that have a true pose"
                 )
-            posterior = model.observe(asked.changed(frame.image), rng=asked.rng)
+            image = frame.image
+            if settings.change is not None:
+                image = np.ascontiguousarray(FOREIGN[settings.change](image, noise))
+            posterior = model.observe(image, rng=rng)
             samples.write(to_rows(posterior.samples).astype(np.float32).tobytes())
             motion = frame.odometry if truth and frame.odometry is not None else _NO_MOTION
             times_ns.append(frame.time_ns)
@@ -219,7 +201,7 @@ def _observe(
             covariance.append(motion.covariance)
             unfamiliarity.append(posterior.unfamiliarity)
             verified.append(() if model.verifier is None else tuple(model.verifier.latest))
-            if len(truth) == asked.images:
+            if len(truth) == most:
                 break
         if not truth:
             raise VaporTrackError(f"{file}: no image has a true pose, expected all to have one")

@@ -1,11 +1,13 @@
-"""Recordings as they are stored: a folder with the settings, the true path and odometry, and the posterior samples."""
+"""Recordings as they are stored: a folder with settings, true path, odometry and posterior samples."""
 
 from __future__ import annotations
 
+import importlib.metadata
+import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import BinaryIO, TypeVar
+from typing import Any, BinaryIO, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
@@ -15,9 +17,102 @@ from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.files.structured import read_arrays, read_json
-from vapor.benchmark.recordings.settings import FileSettings, RecordingSettings
+from sequences.paths.choose import Cues
+from sequences.synthesize import SYNTHESIS
+from vapor.cache import code_digest, digest
+from vapor.checkpoints.checkpoint import Checkpoint
+from vapor.engines.engine import Precision
 from vapor.landmarks.localize import VerifiedPose
 from vapor.storage import absent, fetched
+
+
+def seen_digest(checkpoint: Checkpoint) -> str:
+    """Digest of the model and of the code that finds landmarks: everything that a posterior depends on."""
+    if checkpoint.landmarks is None:
+        return checkpoint.seen_sha256()
+    errors = json.loads(json.dumps(asdict(checkpoint.calibration.errors)))
+    code = code_digest("vapor.landmarks", "vapor.observation", "vapor.cameras")
+    return digest({"seen": checkpoint.seen_sha256(), "errors": errors, "code": code})
+
+
+@dataclass(frozen=True)
+class RecordingSettings:
+    """Everything that the recording of a synthetic sequence depends on.
+
+    Attributes:
+        seed: Of the path and of all noise.
+        cues: What is unique along the path.
+        frames: Number of images of the path.
+        network_sha256: Of all that the answer of the network depends on.
+        stand: The image at which the camera stops, and for how many seconds it stands; None if it does not stop.
+        part: The first of the images that are recorded, and how many; None for all.
+        change: What is done to every image before the network sees it, one of `FOREIGN`; None for nothing.
+        odometry_scale: Error of the odometry's distances, as a fraction of them; None for a random one.
+        precision: Of the network's arithmetic; engines agree within rounding.
+        camera: The camera that it is rendered with, the numbers of `Camera`; None for that of its scene.
+        synthesis: Version of the code that renders.
+    """
+
+    scene: str
+    seed: int
+    cues: Cues
+    frames: int
+    width: int
+    height: int
+    network_sha256: str
+    num_samples: int
+    rate_hz: float = 10.0
+    stand: tuple[int, float] | None = None
+    part: tuple[int, int] | None = None
+    change: str | None = None
+    odometry_scale: float | None = None
+    precision: Precision = "float32"
+    camera: tuple[int, int, float, float, float, float] | None = None
+    synthesis: int = SYNTHESIS
+    package: str = field(default_factory=lambda: importlib.metadata.version("vapor-track"))
+
+    @property
+    def name(self) -> str:
+        """Name of its folder: recordings with other settings have other names."""
+        return f"{self.scene}-{self.cues}-{self.seed}-{digest(self.stored)}"
+
+    @property
+    def stored(self) -> dict[str, Any]:
+        """All settings by name, as JSON."""
+        return json.loads(json.dumps(asdict(self)))
+
+
+@dataclass(frozen=True)
+class FileSettings:
+    """Everything that the recording of an MCAP file depends on.
+
+    Attributes:
+        made: Digest of everything that the file was made from.
+        seen_sha256: Of all that samples and familiarity of an image depend on.
+        seed: Of the network's latent noise.
+        images: How many, from the first one on; None for all.
+        change: What is done to every image before the network sees it, one of `FOREIGN`; None for nothing.
+    """
+
+    sequence: str
+    made: str
+    seen_sha256: str
+    seed: int
+    num_samples: int
+    images: int | None = None
+    change: str | None = None
+    precision: Precision = "float32"
+
+    @property
+    def name(self) -> str:
+        """Name of its folder: recordings with other settings have other names."""
+        return f"{self.sequence}-{digest(self.stored)}"
+
+    @property
+    def stored(self) -> dict[str, Any]:
+        """All settings by name, as JSON."""
+        return asdict(self)
+
 
 Settings = TypeVar("Settings", RecordingSettings, FileSettings, RecordingSettings | FileSettings)
 
@@ -87,11 +182,11 @@ def load_recording(settings: RecordingSettings | FileSettings, directory: Path) 
     stored = _checked(settings, folder)
     return Recording(
         stored["times_ns"],
-        _path(stored),
+        CameraPath(from_rows(stored["truth"]), stored["sees_cue"]),
         from_rows(stored["odometry"]),
         stored["odometry_covariance"],
         np.load(folder / SAMPLES, mmap_mode="r", allow_pickle=False),
-        stored.get("unfamiliarity", np.zeros(len(stored["times_ns"]))),
+        stored["unfamiliarity"],
         _verified(stored),
     )
 
@@ -102,7 +197,8 @@ def load_path(settings: RecordingSettings | FileSettings, directory: Path) -> Ca
     Raises:
         VaporTrackError: there is no such recording, or it was made with other settings.
     """
-    return _path(_checked(settings, directory / settings.name))
+    stored = _checked(settings, directory / settings.name)
+    return CameraPath(from_rows(stored["truth"]), stored["sees_cue"])
 
 
 def write_samples_header(file: BinaryIO, shape: tuple[int, ...]) -> None:
@@ -140,16 +236,11 @@ def verified_arrays(verified: Sequence[Sequence[VerifiedPose]]) -> dict[str, np.
 
 def _verified(stored: Mapping[str, np.ndarray]) -> tuple[tuple[VerifiedPose, ...], ...]:
     found: list[list[VerifiedPose]] = [[] for _ in stored["times_ns"]]
-    if "verified_image" in stored:
-        poses, none = from_rows(stored["verified_pose"]), np.empty((0, 2))
-        for i, image in enumerate(stored["verified_image"].tolist()):
-            covariance, inliers = stored["verified_covariance"][i], int(stored["verified_inliers"][i])
-            found[image].append(VerifiedPose(poses[i], covariance, inliers, none, none))
+    poses, none = from_rows(stored["verified_pose"]), np.empty((0, 2))
+    for i, image in enumerate(stored["verified_image"].tolist()):
+        covariance, inliers = stored["verified_covariance"][i], int(stored["verified_inliers"][i])
+        found[image].append(VerifiedPose(poses[i], covariance, inliers, none, none))
     return tuple(map(tuple, found))
-
-
-def _path(stored: Mapping[str, np.ndarray]) -> CameraPath:
-    return CameraPath(from_rows(stored["truth"]), stored["sees_cue"])
 
 
 def _checked(settings: RecordingSettings | FileSettings, folder: Path) -> Mapping[str, np.ndarray]:
@@ -158,17 +249,17 @@ def _checked(settings: RecordingSettings | FileSettings, folder: Path) -> Mappin
         found, content = read_json(folder / SETTINGS), read_arrays(folder / PATH)
     except SequenceError as error:
         raise VaporTrackError(
-            f"{folder}: cannot be read ({error}), expected a recording; remove it to make it anew"
+            f"{folder}: cannot be read ({error}), expected a recording; remove it to make it again"
         ) from error
     expected = settings.stored
     if not isinstance(found, dict):
         raise VaporTrackError(
-            f"{folder / SETTINGS}: {quoted(found)}, expected a JSON object; remove it to make it anew"
+            f"{folder / SETTINGS}: {quoted(found)}, expected a JSON object; remove it to make it again"
         )
     for name in expected | found:
         if found.get(name) != expected.get(name):
             raise VaporTrackError(
                 f"{folder}: recorded with {name} {quoted(found.get(name))}, expected {quoted(expected.get(name))};"
-                " remove it to make it anew"
+                " remove it to make it again"
             )
     return content

@@ -13,8 +13,7 @@ import numpy as np
 from filtering.errors import VaporTrackError, require_within
 from sequences.reader import SequenceReader
 from sequences.scenes import is_scene, scene_names
-from vapor.benchmark.regressors.scenes import Scene, render_scenes, rendered_height
-from vapor.benchmark.regressors.training_runs import TrainingRun, carry_out
+from vapor.benchmark.regressors.training_runs import Scene, TrainingRun, carry_out, render_scenes, rendered_height
 from vapor.evaluation.trajectory import RIGHT, THRESHOLDS
 from vapor.parallel.jobs import Workers
 from vapor.training.config import TrainConfig
@@ -86,8 +85,6 @@ class TableExperiment:
     Args:
         scenes: From `parse_scene`.
         directory: For images and results.
-        config: Settings.
-        workers: Where jobs are done; None for as many processes here as configured.
 
     Raises:
         TrainingError: a scene is tested on images that it is trained on.
@@ -182,7 +179,7 @@ def _scene_table(scene: str, rows: Sequence[Mapping[str, Any]], gamma: float) ->
     columns = ["method", *(f"recall {t}" for t in THRESHOLDS), f"best mode {RIGHT}", f"any sample {RIGHT}"]
     columns += ["median error of the mean", "of the best mode", "−log p̂", "modes"]
     if filtered:
-        columns += ["filter: success", "median error", "said converged, of these wrong", "smoothed: success"]
+        columns += ["filter: success", "median error", "converged, of these wrong", "smoothed: success"]
     lines: list[tuple[str, ...]] = []
     methods = dict.fromkeys(row["label"] for row in rows)
     by_method = {method: [row for row in rows if row["label"] == method] for method in methods}
@@ -222,13 +219,13 @@ def markdown(results: Sequence[Mapping[str, Any]], gamma: float) -> str:
 def _filtered(reports: Sequence[Mapping[str, Any]]) -> list[str]:
     """Of reports of runs: how many succeed, errors, and how far `converged` can be trusted."""
     runs = [report["filter"] for report in reports]
-    said = [report["consistency"]["images"] for report in reports]
-    wrong = [report["consistency"]["wrong"] or 0.0 for report in reports]  # None where it was never said
+    converged = [report["consistency"]["images"] for report in reports]
+    wrong = [report["consistency"]["wrong"] or 0.0 for report in reports]  # None where it never converged
     images = sum(report["frames_with_true_pose"] for report in reports)
     return [
         f"{sum(bool(run['success']) for run in runs)} of {len(runs)}",
         _error([{k: run[f"median_{k}"] for k in ("translation_m", "rotation_deg")} for run in runs]),
-        f"{100 * sum(said) / images:.0f} %, {_percentage(np.dot(said, wrong), sum(said))}",
+        f"{100 * sum(converged) / images:.0f} %, {_percentage(np.dot(converged, wrong), sum(converged))}",
         f"{sum(bool(report['smoothed']['success']) for report in reports)} of {len(runs)}",
     ]
 

@@ -1,4 +1,4 @@
-"""What the methods of a trial are given, cut from its recordings; and the methods run over it."""
+"""Trials cut from recordings, and every method run over them and evaluated."""
 
 from __future__ import annotations
 
@@ -12,13 +12,16 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64, Int64
 
+from filtering.floors import Floors
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
-from vapor.benchmark.evaluation.lengths import scaled_calibration, scaled_localizer, scaled_odometry, scaled_poses
+from sequences.scenes import find_scene
+from vapor.benchmark.evaluation import compare, evaluate_sequences
 from vapor.benchmark.recordings.storage import Recording, load_recording
+from vapor.benchmark.trials.choose import KINDS, Segment, Trial
 from vapor.benchmark.trials.setup import Setup, setup_settings
-from vapor.benchmark.trials.trial import Segment, Trial
+from vapor.cache import cached
 from vapor.landmarks.localize import VerifiedPose
 from vapor.landmarks.verify import verified
 from vapor.tracking.ablations import ABLATIONS
@@ -34,7 +37,7 @@ class Replay:
         times_ns: Stamps (n,), without a break.
         odometry: Camera motion since the previous image, (n,).
         truth: True poses, batch (n,).
-        posterior_poses: Posterior samples of an image, by its number; none for one that says nothing.
+        posterior_poses: Posterior samples of an image, by its number; none for an uninformative one.
         unfamiliarity: Of each image, (n,).
         cue_images: Number of images that show something unique.
         verified_poses: The poses that landmarks verify, of an image, by its number.
@@ -47,16 +50,6 @@ class Replay:
     unfamiliarity: Float64[np.ndarray, " n"]
     cue_images: int
     verified_poses: Callable[[int], Sequence[VerifiedPose]] = lambda image: ()
-
-    def scaled(self, factor: float) -> Replay:
-        """The same where all lengths are multiplied by a factor."""
-        return replace(
-            self,
-            odometry=tuple(scaled_odometry(motion, factor) for motion in self.odometry),
-            truth=scaled_poses(self.truth, factor),
-            posterior_poses=lambda image: scaled_poses(self.posterior_poses(image), factor),
-            verified_poses=lambda image: [_scaled(each, factor) for each in self.verified_poses(image)],
-        )
 
 
 def assemble(trial: Trial, recording: Callable[[Segment], Recording]) -> Replay:
@@ -89,12 +82,6 @@ def assemble(trial: Trial, recording: Callable[[Segment], Recording]) -> Replay:
     )
 
 
-def _scaled(pose: VerifiedPose, factor: float) -> VerifiedPose:
-    lengths = np.repeat([factor, 1.0], 3)
-    covariance = pose.covariance * np.multiply.outer(lengths, lengths)
-    return replace(pose, world_from_camera=scaled_poses(pose.world_from_camera, factor), covariance=covariance)
-
-
 def load_replay(trial: Trial, setup: Setup, directory: Path) -> Replay:
     """A trial as its recordings in `directory / "recordings"` have it.
 
@@ -108,31 +95,18 @@ def load_replay(trial: Trial, setup: Setup, directory: Path) -> Replay:
 
 
 def follow_trial(trial: Trial, setup: Setup, replay: Replay) -> Followed:
-    """Let filter and baselines follow a trial's replay, all lengths multiplied by the trial's scale."""
+    """Let filter and baselines follow a trial's replay."""
     first = trial.segments[0]
-    return follow_replay(
-        replay, setup, seed=(first.seed, first.start), scale=trial.scale, kidnap_index=trial.kidnap_index
-    )
+    return follow_replay(replay, setup, seed=(first.seed, first.start), kidnap_index=trial.kidnap_index)
 
 
-def follow_replay(
-    replay: Replay, setup: Setup, *, seed: Sequence[int], scale: float = 1.0, kidnap_index: int | None = None
-) -> Followed:
-    """Let filter and baselines follow a replay.
-
-    Args:
-        replay: What they are given.
-        setup: Model and filter.
-        seed: Of the filters' draws.
-        scale: Factor on all lengths.
-        kidnap_index: First image after the camera was carried off; None if it was not.
-    """
-    replay = replay.scaled(scale)
+def follow_replay(replay: Replay, setup: Setup, *, seed: Sequence[int], kidnap_index: int | None = None) -> Followed:
+    """Let filter and baselines follow a replay; a camera that is carried off is elsewhere from `kidnap_index` on."""
     checkpoint = setup.checkpoint()
-    calibration = scaled_calibration(checkpoint.calibration, scale)
+    calibration = checkpoint.calibration
     ablation = ABLATIONS[setup.ablation]
     errors, fit = ablation.errors(calibration.errors), calibration.odometry
-    config = scaled_localizer(ablation.localizer(setup.localizer), scale)
+    config = ablation.localizer(setup.localizer)
     if fit is not None:
         config = replace(config, slow_errors=fit.slow_errors)
 
@@ -153,3 +127,43 @@ def trial_settings(trial: Trial, setup: Setup) -> dict[str, Any]:
     """Everything that a trial's result depends on, as JSON."""
     recordings = [setup.recording(trial.scene, trial.kind, segment).name for segment in trial.segments]
     return json.loads(json.dumps(asdict(trial) | setup_settings(setup) | {"recordings": recordings}))
+
+
+def run_trial(trial: Trial, setup: Setup, directory: Path) -> dict[str, Any]:
+    """Run a trial unless its result is cached in `directory / "trials"`; recordings lie in `directory / "recordings"`.
+
+    Returns:
+        JSON: `name`, `scene`, `kind`, `walk` (the seed of the first segment), `variant` (the ablation), `cue_images`,
+        what `Comparison.figures` gives, and `sequences`, see `evaluate_sequences`, where the kind has them.
+
+    Raises:
+        VaporTrackError: a recording is missing or was made with other settings.
+    """
+    return cached(
+        directory / "trials" / f"{trial.name}-{setup.ablation}",
+        trial_settings(trial, setup),
+        lambda: localize(trial, setup, load_replay(trial, setup, directory)),
+    )
+
+
+def localize(trial: Trial, setup: Setup, replay: Replay) -> dict[str, Any]:
+    """The result of a trial, see `run_trial`, from what the methods are given of it."""
+    followed = follow_trial(trial, setup, replay)
+    first, kind = trial.segments[0], KINDS[trial.kind]
+    sequences = {}
+    if kind.in_sequences:
+        ablation = ABLATIONS[setup.ablation]
+        sequences["sequences"] = evaluate_sequences(followed, seed=(first.seed, first.start), ablation=ablation)
+    return {
+        "name": trial.name,
+        "scene": trial.scene,
+        "kind": trial.kind,
+        "walk": first.seed,
+        "variant": setup.ablation,
+        "cue_images": replay.cue_images,
+        **compare(followed).figures(
+            floor_height_m=find_scene(trial.scene).floor_height_m,
+            floors=Floors.found_in(setup.checkpoint().prior_poses),
+        ),
+        **sequences,
+    }

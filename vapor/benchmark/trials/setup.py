@@ -1,10 +1,10 @@
-"""What trials depend on besides which they are: model, image size, filter; and the recordings that follow from it."""
+"""Model, image size, filter and recordings that trials depend on."""
 
 from __future__ import annotations
 
 import hashlib
 import importlib.metadata
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache
 from pathlib import Path
@@ -12,14 +12,15 @@ from typing import Any
 
 from filtering.config import LocalizerConfig
 from filtering.errors import VaporTrackError, require_within
-from vapor.benchmark.recordings.settings import RecordingSettings, seen_digest
-from vapor.benchmark.trials import kinds
-from vapor.benchmark.trials.kinds import KINDS, Kind, recorded_images, walk_frames
-from vapor.benchmark.trials.trial import Segment
+from vapor.benchmark.recordings.record import camera_path, make_recording
+from vapor.benchmark.recordings.storage import CameraPath, RecordingSettings, not_recorded, seen_digest
+from vapor.benchmark.trials import choose
+from vapor.benchmark.trials.choose import KINDS, Kind, Segment, recorded_images, walk_frames
 from vapor.cache import code_digest
 from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.checkpoints.file_format import find_model, load_checkpoint
 from vapor.engines.engine import EngineConfig
+from vapor.parallel.jobs import Workers, in_parallel
 from vapor.storage import fetched
 
 _MAX_SEED = 2**62
@@ -74,15 +75,10 @@ class Setup:
     """What trials depend on besides which they are.
 
     Attributes:
-        model: Model file.
-        model_sha256: Of its content.
-        network_sha256: Of what it says of an image: samples, and how unlike the training images it is.
+        model_sha256: Of the content of the model file.
+        network_sha256: Of all that samples and familiarity of an image depend on.
         frames: Images of a trial.
-        width, height: Image size in pixels.
-        num_samples: Posterior samples per image.
-        localizer: Settings of the filter.
         ablation: Name of the filter's ablation.
-        network: What runs the network.
         odometry_scale: Error of the odometry's distances, as a fraction of them; None for a random one.
     """
 
@@ -120,7 +116,7 @@ class Setup:
             walk,
             frames=recorded_images(kind, walk.frames),
             rate_hz=KINDS[kind].recorded_hz,
-            stand=None if segment.stop is None else (segment.stop, kinds.STAND_S),
+            stand=None if segment.stop is None else (segment.stop, choose.STAND_S),
         )
 
     def checkpoint(self) -> Checkpoint:
@@ -174,3 +170,21 @@ def results_code() -> str:
 @cache
 def _load(model: Path, sha256: str) -> Checkpoint:
     return load_checkpoint(fetched(model))
+
+
+def make_recordings(
+    wanted: Mapping[RecordingSettings, Setup], directory: Path, workers: Workers
+) -> Iterator[tuple[int, int]]:
+    """Make the recordings that are missing; yields the number done and the number of all after each."""
+    jobs = [(settings, wanted[settings], directory) for settings in not_recorded(wanted, directory)]
+    for done, _ in enumerate(in_parallel(_make, jobs, workers), len(wanted) - len(jobs) + 1):
+        yield done, len(wanted)
+
+
+def camera_paths(setup: Setup, scene: str, kind: Kind, directory: Path) -> Callable[[int], CameraPath]:
+    """The walks that trials of a kind are cut from, by seed; each is computed once."""
+    return cache(lambda seed: camera_path(setup.walk(scene, kind, seed), directory))
+
+
+def _make(settings: RecordingSettings, setup: Setup, directory: Path) -> None:
+    make_recording(settings, setup.checkpoint(), directory, setup.network.engine)

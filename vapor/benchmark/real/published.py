@@ -1,8 +1,8 @@
-"""Rows of posterior samples that a network of others gave, stored in a file with odometry."""
+"""Rows of estimates that others published: posterior samples of a network, or poses of single images."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -10,9 +10,12 @@ import numpy as np
 from jaxtyping import Float64
 
 from filtering.config import LocalizerConfig
+from filtering.errors import VaporTrackError
 from filtering.motion import MotionNoise, Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
+from sequences.estimates.options import EstimateOptions
+from sequences.estimates.sequence import EstimateSequence
 from sequences.files.structured import read_arrays
 from sequences.frame import BASE_FROM_CAMERA
 from sequences.odometry import OdometryNoise, simulate_odometry
@@ -24,6 +27,7 @@ from vapor.calibration.image_errors import fit_errors
 from vapor.calibration.observations import Observations
 from vapor.calibration.travel import Travel
 from vapor.checkpoints.scene_scale import default_errors
+from vapor.pipeline.fuse import EstimateConfig, EstimateModel, errors_of, over_sequences
 from vapor.tracking.passage import Passage
 
 
@@ -35,17 +39,14 @@ class StoredPosteriors:
     not trained on; the second half is evaluated.
 
     Attributes:
-        name: Name of the row.
         file: File of the data.
         own_seed: Seed of the draw in the file; those of further draws count up from it.
-        unit_m: Lengths are evaluated in units of so many metres.
         simulated: Whether there are several draws of its odometry.
     """
 
     name: str
     file: str
     own_seed: int
-    unit_m: float = 1.0
     simulated: bool = True
 
     @property
@@ -117,3 +118,69 @@ def poses_of(rows: Float64[np.ndarray, "n 7"]) -> Poses:
     """Poses (n,) from rows of tx ty tz qx qy qz qw."""
     rows = np.asarray(rows, np.float64)
     return Poses.from_quat_xyzw(rows[:, :3], rows[:, 3:])
+
+
+@dataclass(frozen=True)
+class PoseEstimates:
+    """Pose estimates of others, with simulated odometry.
+
+    Attributes:
+        group: Name of all rows with the same unit.
+        files: Files of the data, one for each method.
+        truth: File of the data with true poses.
+        unit_m: So many metres are taken for one: all lengths are larger by this factor, those of noise too.
+        simulated: Whether there are several draws of its odometry.
+    """
+
+    name: str
+    group: str
+    files: tuple[str, ...]
+    truth: str
+    unit_m: float = 1.0
+    simulated: bool = True
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Files and folders of the data that must be there."""
+        return (*self.files, self.truth)
+
+    def prepare(self, context: RowContext, seed: int) -> dict[str, Any]:
+        """Nothing to make."""
+        return {"files": self.needs, "unit_m": self.unit_m, "seed": seed, "trust": asdict(EstimateConfig())}
+
+    def draw(self, context: RowContext, seed: int, config: LocalizerConfig) -> Draw:
+        """The estimates with odometry simulated from the true poses, all lengths in the unit."""
+        usual, noise = EstimateConfig(), OdometryNoise()
+        trust = replace(usual, std_m=tuple(std_m * self.unit_m for std_m in usual.std_m))
+        noise = replace(
+            noise,
+            translation_bias_m_per_s=noise.translation_bias_m_per_s * self.unit_m,
+            translation_white_m_per_sqrt_s=noise.translation_white_m_per_sqrt_s * self.unit_m,
+        )
+        sequence = EstimateSequence(
+            [context.data / file for file in self.files],
+            simulate_odometry_from=context.data / self.truth,
+            options=EstimateOptions(direction="world-to-camera", noise=noise, unit_m=self.unit_m),
+            seed=seed,
+        )
+        errors = errors_of(sequence, trust)
+        model = EstimateModel(len(self.files), trust, errors)
+        frames = list(sequence)
+        truth = [frame.world_from_camera for frame in frames if frame.world_from_camera is not None]
+        if len(truth) < len(frames):
+            raise VaporTrackError(
+                f"{self.truth}: no true pose of {len(frames) - len(truth)} frames, expected one of all"
+            )
+        rng = np.random.default_rng(0)  # nothing is drawn from it
+        return Draw(
+            Passage(
+                np.array([frame.time_ns for frame in frames], np.int64),
+                tuple(frame.odometry for frame in frames),
+                Poses.stack(truth),
+                lambda image: model.observe(frames[image].estimates, rng=rng),
+            ),
+            errors,
+            over_sequences(config),
+            {"": np.ones(len(frames), bool)},
+            self.unit_m,
+        )

@@ -1,18 +1,102 @@
-"""What many trials add up to, per scene, kind of trial and ablation of the filter."""
+"""`vapor-benchmark localization`: many trials on synthetic scenes, in parallel, and their aggregates."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from vapor.benchmark.evaluation.intervals import Walks
-from vapor.benchmark.evaluation.sequential import SUCCESS_M
-from vapor.benchmark.methods import BELIEVING, METHODS
-from vapor.benchmark.trials.kinds import KINDS
+from filtering.errors import VaporTrackError, require_within
+from vapor.benchmark.evaluation import BELIEVING, SUCCESS_M, Walks
+from vapor.benchmark.recordings.storage import RecordingSettings
+from vapor.benchmark.trials.choose import KINDS, Kind, Trial, choose_trials
+from vapor.benchmark.trials.replay import run_trial
+from vapor.benchmark.trials.setup import Setup, TrialsConfig, camera_paths, make_recordings, make_setups
 from vapor.evaluation.consistency import REGIONS
 from vapor.evaluation.trajectory import POSITION_M, THRESHOLDS
+from vapor.parallel.jobs import Workers, in_parallel
+from vapor.tracking.ablations import ABLATIONS
+from vapor.tracking.methods import METHODS
+
+
+@dataclass(frozen=True)
+class LocalizationConfig(TrialsConfig):
+    """Settings of a benchmark of localization."""
+
+    kinds: tuple[Kind, ...] = ("cue", "no-cue", "kidnap")
+    """What happens in the runs."""
+    runs: int = 100
+    """Runs of each kind and scene."""
+    ablations: tuple[str, ...] = ("full",)
+    """Filters to run: the full one, or with a part taken out or changed."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_within(self, runs=(1, 10**6))
+        for name, chosen in (("kinds", self.kinds), ("ablations", self.ablations)):
+            if not chosen or len(set(chosen)) < len(chosen):
+                raise VaporTrackError(f"{name} are {', '.join(chosen) or 'none'}, expected each at most once, and one")
+        for ablation in self.ablations:
+            if ablation not in ABLATIONS:
+                raise VaporTrackError(f"unknown ablation {ablation!r}, expected one of {', '.join(ABLATIONS)}")
+
+    def settings(self) -> dict[str, Any]:
+        """All settings as summary.json has them, where ablations are called variants as they always were."""
+        return {{"ablations": "variants"}.get(name, name): value for name, value in asdict(self).items()}
+
+
+class LocalizationBenchmark:
+    """The trials of a benchmark and where their results lie.
+
+    Args:
+        scenes: Names of scenes, each with the model to localize by: a file, or the name of one that ships.
+        directory: For recordings and results; an interrupted benchmark continues where it was.
+    """
+
+    def __init__(
+        self,
+        scenes: Mapping[str, str],
+        directory: Path,
+        config: LocalizationConfig,
+        workers: Workers | None = None,
+    ) -> None:
+        self.directory = directory
+        self.config = config
+        self._workers = workers or Workers(config.workers)
+        self._setups = make_setups(scenes, config)
+
+    def choose(self, progress: Callable[[int, int], None]) -> list[Trial]:
+        """The trials: the same for the same settings."""
+        trials: list[Trial] = []
+        c = self.config
+        for scene, setup in self._setups.items():
+            # Runs of two kinds may share recordings, and neighbouring kidnaps do.
+            for kind in c.kinds:
+                path = camera_paths(setup, scene, kind, self.directory / "recordings")
+                trials += choose_trials(scene, kind, runs=c.runs, first_seed=c.first_seed, frames=c.frames, path=path)
+                progress(len(trials), len(self._setups) * len(c.kinds) * c.runs)
+        return trials
+
+    def record(self, trials: Sequence[Trial]) -> Iterator[tuple[int, int]]:
+        """Make the recordings that are missing; yields the number done and the number of all after each."""
+        wanted: dict[RecordingSettings, Setup] = {}
+        for trial in trials:
+            setup = self._setups[trial.scene]
+            wanted |= {setup.recording(trial.scene, trial.kind, segment): setup for segment in trial.segments}
+        yield from make_recordings(wanted, self.directory / "recordings", self._workers)
+
+    def localize(self, trials: Sequence[Trial]) -> Iterator[dict[str, Any]]:
+        """The result of every trial and ablation, in no order; cached ones are not computed again."""
+        jobs = [
+            (trial, replace(self._setups[trial.scene], ablation=ablation), self.directory)
+            for ablation in self.config.ablations
+            for trial in trials
+        ]
+        yield from in_parallel(run_trial, jobs, self._workers)
+
 
 WITHIN_IMAGES = 50
 """A kidnapped filter should be right again after at most this many images."""
@@ -103,7 +187,6 @@ def _method(metrics: Results, walks: Walks) -> dict[str, Any]:
 
 
 def _sequences(parts: Results, walks: Walks) -> dict[str, Any]:
-    """How many of all sequences of a length succeed, by method."""
     numbers = [part["sequences"] for part in parts]
     names = dict.fromkeys(name for part in parts for name in part["success"] or ())
     success = {
@@ -192,7 +275,7 @@ def _consistency(parts: Results, walks: Walks) -> dict[str, Any]:
 
 
 def _wrong_fraction(belief: Mapping[str, Any]) -> float:
-    """Fraction of all images of a run that say `converged` and are wrong."""
+    """Fraction of all images of a run that are `converged` and wrong."""
     return belief["status"]["converged"] * (belief["said_converged"]["wrong"] or 0.0)
 
 
@@ -202,7 +285,6 @@ def _recovered(belief: Mapping[str, Any]) -> bool:
 
 
 def _mean(values: Sequence[int | float | None], weights: Sequence[int | float] | None = None) -> float | None:
-    """Of the values that are known; None if none is."""
     weights = [1] * len(values) if weights is None else weights
     known = [(value, weight) for value, weight in zip(values, weights, strict=True) if value is not None]
     total = sum(weight for _, weight in known)
@@ -210,6 +292,5 @@ def _mean(values: Sequence[int | float | None], weights: Sequence[int | float] |
 
 
 def _median(values: Sequence[int | float | None]) -> float | None:
-    """Of the values that are known; None if none is."""
     known = [value for value in values if value is not None]
     return float(np.median(known)) if known else None

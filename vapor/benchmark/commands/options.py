@@ -1,8 +1,9 @@
-"""Options and output of the benchmarks that replay walks through scenes."""
+"""Options and output folders of the benchmarks."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import shutil
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, make_dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_type_hints
@@ -10,12 +11,49 @@ from typing import Annotated, Any, TypeVar, get_type_hints
 import tyro
 
 from filtering.errors import VaporTrackError
+from sequences.outputs.claims import claim_folder
+from sequences.outputs.folders import names_told
+from sequences.outputs.manifest import MANIFEST, own_manifest
 from sequences.scenes import find_scene, is_scene, scene_names
-from vapor.benchmark.commands.outputs import SharedOutputPath
+from vapor.benchmark import PROGRAM
 from vapor.checkpoints.file_format import find_model
-from vapor.commands.console import Overwrite
+from vapor.commands.console import Overwrite, path_given_by, path_or_url_to_write
 from vapor.commands.workers import Scheduler
+from vapor.parallel.jobs import Workers
 from vapor.reporting.report import write_report
+from vapor.storage import fetched, listed, published, url_of
+
+SharedOutputPath = Annotated[Path, path_given_by(path_or_url_to_write)]
+"""A path or a URL to write to, which is not empty; of a URL it is the path of the copy."""
+
+
+def claim_shared(
+    directory: Path, command: str, workers: Workers, *, reads: Iterable[Path] = (), overwrite: bool = False
+) -> None:
+    """As `claim_folder`, of a folder that all workers see, or of the copy of what a URL stands for.
+
+    Raises:
+        VaporTrackError: as there, a worker does not see the folder, or the storage cannot be used.
+    """
+    if (url := url_of(directory)) is not None:
+        names = sorted({file.relative_to(directory).parts[0] for file in listed(directory) if file != directory})
+        fetched(directory / MANIFEST)
+        if own_manifest(directory) is None:
+            if names and not overwrite:
+                expected = f"expected an empty folder or one of `{PROGRAM} {command}`"
+                raise VaporTrackError(f"{url}: {names_told(names)}, {expected}; --overwrite uses it all the same")
+            shutil.rmtree(directory, ignore_errors=True)  # of what is no longer there
+    claim_folder(directory, f"{PROGRAM} {command}", reads=reads, overwrite=overwrite)
+    workers.require_to_see(directory)
+    published(directory / MANIFEST)
+
+
+def publish_results(directory: Path) -> None:
+    """Write what a command found, which lies in a folder itself, to the folder's URL where it has one."""
+    for file in sorted(directory.iterdir()) if url_of(directory) is not None else ():
+        if file.is_file():
+            published(file)
+
 
 Config = TypeVar("Config")
 
@@ -71,7 +109,7 @@ def with_help(config: type[Config], **texts: str) -> type[Config]:
     return make_dataclass(config.__name__, documented, bases=(config,), frozen=True, namespace=namespace)
 
 
-def listed(meanings: Mapping[str, str]) -> str:
+def described(meanings: Mapping[str, str]) -> str:
     """The entries of a table, as a help text has them."""
     return "; ".join(f"{name}: {meaning}" for name, meaning in meanings.items())
 

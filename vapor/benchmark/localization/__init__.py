@@ -1,1 +1,0 @@
-"""`vapor-benchmark localization`: many trials on synthetic scenes, and what they add up to."""
