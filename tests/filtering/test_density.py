@@ -3,7 +3,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.special import logsumexp
 
-from filtering.density import KernelDensity, neighbour_order
+from filtering.density import KernelDensity
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 
@@ -141,15 +141,6 @@ def test_a_floor_far_below_the_peak_is_kept_too():
     there = Poses(np.eye(3)[None], np.array([[0.082, 0.0, 0.0]]))
     assert density.log_density(there, log_floor=-30.0)[0] == pytest.approx(density.log_density(there)[0], abs=1e-3)
     assert density.log_density(there)[0] > -30.0
-
-
-def test_neighbour_order_keeps_places_together():
-    places = Poses.concatenate([shifted(cloud(k, 256), 10.0 * k) for k in range(4)])
-    mixed = np.random.default_rng(0).permutation(1024)
-    order = neighbour_order(places[mixed])
-    assert sorted(order) == list(range(1024))
-    place = mixed[order] // 256
-    assert (np.diff(place) != 0).sum() == 3
 
 
 @pytest.mark.parametrize("width", [0.0, -1.0, float("nan")])

@@ -24,8 +24,8 @@ from tests.helpers.sequence_files import BEGIN_NS, picture, world_from_camera
 from vapor.observation import VaporObservationModel
 from vapor.pipeline.model import LoadedModel
 from vapor.robot import health, session
+from vapor.robot.belief import LiveEstimate
 from vapor.robot.config import LiveConfig
-from vapor.robot.estimate import LiveEstimate
 from vapor.robot.session import LiveSession
 
 ELSEWHERE = Poses.exp(np.array([0.0, 0.0, 30.0, 0.0, 0.0, 0.0]))
@@ -126,7 +126,7 @@ def running(
     transport = offering(messages_of(walk))
     loaded = knowing(model or KnowingModel())
     told: list[str] = []
-    localization = LiveSession(loaded, transport, reading or ReadingOptions(), LiveConfig(**settings), tell=told.append)
+    localization = LiveSession(loaded, transport, reading or ReadingOptions(), LiveConfig(**settings), told.append)
     estimates: list[LiveEstimate] = []
     run = Running(transport, localization, estimates, told)
 

@@ -1,14 +1,61 @@
-"""How long errors last as the camera moves on, and so how many independent images the data are worth."""
+"""Correlation of errors, and of mistakes about the place, along the path of the camera."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Bool, Float64, Int64
 
-from vapor.calibration.travel import LEAST_PAIRS, Travel, pairs_of_images
+from filtering.se3 import Poses
 from vapor.checkpoints.scene_scale import LENGTH_RAD
+
+LEAST_PAIRS = 50
+"""Pairs of images, below which nothing is said of how long anything lasts."""
+_MOST_PAIRS = 10**6
+
+
+@dataclass(frozen=True)
+class Travel:
+    """Motion of the camera between n images, and their passes.
+
+    Attributes:
+        pass_number: Pass of each image, (n,); images of one pass lie together.
+        metres: Travelled since the first image of its pass, (n,).
+        radians: Turned since then, (n,).
+    """
+
+    pass_number: Int64[np.ndarray, " n"]
+    metres: Float64[np.ndarray, " n"]
+    radians: Float64[np.ndarray, " n"]
+
+    @staticmethod
+    def along(poses: Poses, pass_number: Int64[np.ndarray, " n"]) -> Travel:
+        """The travel along poses (n,) of numbered passes, each in order of time."""
+        begins = np.diff(pass_number, prepend=pass_number[:1] - 1) != 0
+        steps = poses[:-1].distance(poses[1:])
+        metres, radians = (np.cumsum(np.append(0.0, step)) for step in steps)
+        first = np.flatnonzero(begins)[np.cumsum(begins) - 1]
+        return Travel(pass_number, metres - metres[first], radians - radians[first])
+
+    def __getitem__(self, indices: Int64[np.ndarray, " k"]) -> Travel:
+        return Travel(self.pass_number[indices], self.metres[indices], self.radians[indices])
+
+
+def pairs_of_images(
+    travel: Travel, usable: Bool[np.ndarray, " n"]
+) -> tuple[Int64[np.ndarray, " k"], Int64[np.ndarray, " k"]]:
+    """Indices of the earlier and the later image of k pairs of usable images, each of one pass.
+
+    Of too many pairs, those farthest apart are left out.
+    """
+    firsts, seconds = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
+    for lag in range(1, min(len(usable), _MOST_PAIRS // max(len(usable), 1) + 1)):
+        first = np.flatnonzero((travel.pass_number[lag:] == travel.pass_number[:-lag]) & usable[lag:] & usable[:-lag])
+        firsts.append(first)
+        seconds.append(first + lag)
+    return np.concatenate(firsts), np.concatenate(seconds)
+
 
 _LENGTHS = np.geomspace(0.003, 0.15, 10)  # over which errors last, in extents
 _LENGTHS_RAD = (0.2, 0.4, 0.8, 1.6)
@@ -21,11 +68,11 @@ _WINDOW, _LEAST_CORRELATION = 4.0, 0.1
 
 @dataclass(frozen=True)
 class LastingErrors:
-    """How long errors last.
+    """Correlation of errors along the path.
 
     Attributes:
-        fraction: Of their variance, that lasts while the view stays the same.
-        length_m: Over which that fades to 1/e, metres.
+        fraction: Fraction of the variance that is correlated.
+        length_m: Length over which the correlation fades to 1/e, metres.
         length_rad: Likewise, radians.
     """
 
@@ -33,11 +80,25 @@ class LastingErrors:
     length_m: float
     length_rad: float
 
-    def lengths(
-        self, metres: Float64[np.ndarray, " k"], radians: Float64[np.ndarray, " k"]
+    def between(
+        self, travel: Travel, first: slice | Int64[np.ndarray, " k"], second: slice | Int64[np.ndarray, " k"]
     ) -> Float64[np.ndarray, " k"]:
-        """How many lengths the camera came that travelled so far and turned by so much."""
+        """Lengths between pairs of images."""
+        metres, radians = travel.metres[second] - travel.metres[first], travel.radians[second] - travel.radians[first]
         return np.hypot(metres / self.length_m, radians / self.length_rad)
+
+
+def fit_decay(
+    lengths: Float64[np.ndarray, " k"],
+    products: Float64[np.ndarray, " k"],
+    weights: Float64[np.ndarray, " k"] | float,
+    limits: tuple[float, float] = (0.0, 1.0),
+) -> tuple[float, float]:
+    """Sum of squares and fraction of the best fit of fraction · exp(−lengths) to products of pairs."""
+    kernel = np.exp(-lengths)
+    weight = max(float((weights * np.square(kernel)).sum()), 1e-300)
+    fraction = float(np.clip((weights * kernel * products).sum() / weight, *limits))
+    return float((weights * np.square(products - fraction * kernel)).sum()), fraction
 
 
 def lasting_errors(
@@ -46,25 +107,17 @@ def lasting_errors(
     travel: Travel,
     extent: float,
 ) -> LastingErrors:
-    """How long errors last, by the correlation of their directions as the camera moves on.
+    """The correlation of the directions of errors (n, 6), in standard deviations, as the camera moves on.
 
-    Least squares give the fraction that lasts, and how many metres change a view as much as how many radians. Of two
-    errors, one that fades soon and one that does not, they see the larger only; but how many images are worth as much
-    as independent ones depends on the sum of all correlations. So the lengths are matched to that sum where there are
-    enough images.
-
-    Args:
-        residual: Errors in standard deviations, (n, 6).
-        usable: Which of the images say anything of their errors, (n,).
-        travel: Of the camera, between the images.
-        extent: Of the scene, metres: lengths are searched for in proportion to it.
+    Least squares give the correlated fraction, and how many metres change a view as much as how many radians. Of two
+    lengths of correlation they find the larger only, while the number of effective images depends on the sum of all
+    correlations. So the lengths are matched to that sum, where there are enough images. Their unit is `extent`, metres.
     """
     # Of their directions: images err more in one part of the scene than in another, which is not an error that lasts.
     direction = residual / np.maximum(np.linalg.norm(residual, axis=1, keepdims=True), 1e-300)
     first, second = pairs_of_images(travel, usable)
     if len(first) < LEAST_PAIRS:
         return LastingErrors(_FRACTIONS[1], _LENGTHS[len(_LENGTHS) // 2] * extent, LENGTH_RAD)
-    metres, radians = travel.metres[second] - travel.metres[first], travel.radians[second] - travel.radians[first]
     products = (direction[second] * direction[first]).sum(axis=1)
     weights = 1.0 / (second - first)  # neighbours as much as all that are ten times as far from each other
 
@@ -72,10 +125,7 @@ def lasting_errors(
         best, found = np.inf, LastingErrors(_FRACTIONS[1], extent, length_rad)
         for length_m in _LENGTHS * extent:
             tried = LastingErrors(1.0, float(length_m), length_rad)
-            kernel = np.exp(-tried.lengths(metres, radians))
-            weight = max(float((weights * np.square(kernel)).sum()), 1e-300)
-            fraction = float(np.clip((weights * kernel * products).sum() / weight, 0.0, 1.0))
-            cost = float((weights * np.square(products - fraction * kernel)).sum())
+            cost, fraction = fit_decay(tried.between(travel, first, second), products, weights)
             if cost < best:
                 best, found = cost, replace(tried, fraction=float(np.clip(fraction, *_FRACTIONS)))
         return best, found
@@ -90,17 +140,16 @@ def lasting_errors(
     # Where the camera hardly turns, any angle fits as well.
     costs = [ordinary, *(cost for cost, _ in others)]
     turns = max(costs) > _CLEARLY * min(costs)
-    longer = _correlation_length(found.lengths(metres, radians), products) / found.fraction
+    longer = _correlation_length(found.between(travel, first, second), products) / found.fraction
     longer = float(np.clip(longer, _LENGTHS[0] * extent / found.length_m, _LENGTHS[-1] * extent / found.length_m))
     length_rad = min(longer * found.length_rad, _LENGTHS_RAD[-1]) if turns else found.length_rad
     return replace(found, length_m=longer * found.length_m, length_rad=length_rad)
 
 
 def _correlation_length(lengths: Float64[np.ndarray, " k"], products: Float64[np.ndarray, " k"]) -> float:
-    """Integral of the correlation over the distance between images, from products of pairs so many lengths apart.
+    """Integral of the correlation over the distance between images, from products of pairs.
 
-    It ends at a few times the length over which the correlation is seen to fade (Sokal's window), as beyond that there
-    is noise only, or where there are no more pairs.
+    It ends at a few times the length over which the correlation fades (Sokal's window), or with the last pairs.
     """
     bins = np.searchsorted(_BINS, lengths, side="right") - 1
     count = np.bincount(bins, minlength=len(_BINS))
@@ -119,6 +168,42 @@ def _correlation_length(lengths: Float64[np.ndarray, " k"], products: Float64[np
 
 
 def effective_images(travel: Travel, lasting: LastingErrors) -> float:
-    """How many independent images are worth as much: one a pass and one for every two lengths; at most all that are."""
-    steps = lasting.lengths(np.diff(travel.metres), np.diff(travel.radians))
+    """Number of independent images of as much information: one a pass and one for every two lengths, at most all."""
+    steps = lasting.between(travel, slice(None, -1), slice(1, None))
     return 1.0 + float(np.where(np.diff(travel.pass_number) == 0, np.minimum(steps / 2.0, 1.0), 1.0).sum())
+
+
+_NO_MISTAKE = 0.02  # of the images, that find the true place less likely than not: fewer count as none
+_MISTAKEN = np.geomspace(0.125, 32.0, 17)  # lengths over which mistakes fade
+_FARTHEST_LENGTHS, _LEAST_VOTE, _LEAST_MISTAKEN, _MOST_MISTAKEN = 100.0, 0.25, 4.0, 40.0
+_ANOTHER_HOUR = 3.0  # times as far beyond one length mistakes reach where the light is another than on held-out passes
+
+
+def mistaken_lengths(
+    evidence: Float64[np.ndarray, " n"], travel: Travel, lasting: LastingErrors, *, same_conditions: bool = False
+) -> float:
+    """The number of lengths of errors over which images are one vote on the place; 1 where no image mistakes the place.
+
+    The evidence (`Places.evidence`) of two images of a pass correlates, the less the more lengths they are apart. A
+    vote is worth less by the sum of an image's correlations with all others; uncorrelated evidence counts once a
+    length. Under other conditions than on held-out passes mistakes last longer (three to five times in two synthetic
+    buildings at another hour), so the excess over one length is multiplied, unless `same_conditions`.
+    """
+    if len(evidence) < LEAST_PAIRS or (evidence < np.log(0.5)).mean() < _NO_MISTAKE:
+        return 1.0
+    value = (evidence - evidence.mean()) / evidence.std()
+    first, second = pairs_of_images(travel, np.ones(len(value), bool))
+    steps = lasting.between(travel, slice(None, -1), slice(1, None))[np.diff(travel.pass_number) == 0]
+    apart = lasting.between(travel, first, second)
+    near = apart < _FARTHEST_LENGTHS
+    apart, products = apart[near], (value[first] * value[second])[near]
+    if len(products) < LEAST_PAIRS:
+        return 1.0
+    best, vote, new = np.inf, 1.0, min(float(np.median(steps)), 1.0)
+    for lengths in _MISTAKEN:
+        cost, fraction = fit_decay(apart / lengths, products, 1.0)
+        if cost < best:
+            best, vote = cost, (1.0 - fraction) * new + 2.0 * fraction * float(lengths)
+    if same_conditions:
+        return float(np.clip(vote, _LEAST_VOTE, _MOST_MISTAKEN))
+    return float(np.clip(1.0 + _ANOTHER_HOUR * (vote - 1.0), _LEAST_MISTAKEN, _MOST_MISTAKEN))

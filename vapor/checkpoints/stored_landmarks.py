@@ -13,9 +13,8 @@ from filtering.errors import quoted
 from vapor.checkpoints.stored_config import parse_camera, parse_config
 from vapor.checkpoints.stored_tensors import LANDMARKS, Shapes
 from vapor.landmarks.features import SIFT_SIZE, SIZE
-from vapor.landmarks.landmark_map import LandmarkMap
+from vapor.landmarks.landmark_map import LandmarkMap, ViewCamera
 from vapor.landmarks.verify import Landmarks, Verification
-from vapor.landmarks.view_camera import ViewCamera
 from vapor.tensor_files import CheckpointError, StoredTensor
 
 _ARRAYS = (

@@ -15,9 +15,9 @@ from filtering.se3 import Poses
 from sequences.frame import Camera, Frame
 from vapor.calibration.camera_fit import CameraFit, fit_camera, typical_error_m
 from vapor.landmarks.build import gather
+from vapor.landmarks.landmark_map import ViewCamera
 from vapor.landmarks.localize import query_features
 from vapor.landmarks.verify import grey_view
-from vapor.landmarks.view_camera import ViewCamera
 from vapor.training_data.grey_views import shrunk, usual_camera
 from vapor.training_data.ground import near_scale_m
 
@@ -119,7 +119,7 @@ class CameraCheck:
         """What was found, in a sentence without its end."""
         if self.fit is None or self.camera is None:
             return f"nothing can be said: {self.unknown}"
-        return self.fit.said(self.camera.width)
+        return self.fit.in_words(self.camera.width)
 
     @property
     def found(self) -> Camera | None:

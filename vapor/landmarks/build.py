@@ -16,11 +16,17 @@ from sequences.datasets.seen_points import SeenPoints
 from sequences.frame import Camera
 from vapor.landmarks.adjustment import Adjusted, adjusted
 from vapor.landmarks.features import Basis, Features, extract, stored, unit_vectors
-from vapor.landmarks.given_points import at_given_points, with_given_points
-from vapor.landmarks.landmark_map import LandmarkMap, summed_up
+from vapor.landmarks.landmark_map import LandmarkMap, ViewCamera, summed_up
 from vapor.landmarks.points import Sightings, parallax, seen, triangulated
-from vapor.landmarks.tracks import Matches, find_sightings, matches_of, neighbours, typical_depth_m
-from vapor.landmarks.view_camera import ViewCamera
+from vapor.landmarks.tracks import (
+    Matches,
+    at_given_points,
+    find_sightings,
+    matches_of,
+    neighbours,
+    typical_depth_m,
+    with_given_points,
+)
 
 VIEW_PX = 320
 """Longer edge of the images that features are found in."""
@@ -49,16 +55,16 @@ View = Callable[[int], UInt8[np.ndarray, "h w"]]
 
 @dataclass(frozen=True)
 class Material:
-    """What a map is made of: the key images among n training images, and their features.
+    """The key images among n training images, and their features.
 
     Attributes:
-        stated: The camera that is stated for the images, at their size; None where none is.
-        key: Which of the n images are key images, in order, (k,).
-        poses: world_from_camera of the key images, batch (k,).
+        stated: Stated camera of the images, at their size; None without one.
+        key: Numbers of the key images, in order, (k,).
+        poses: world_from_camera of the key images, (k,).
         features: Of each, in the basis.
-        basis: In which features are described.
-        matches: Of pairs of key images, by their place in `key`, that may show the same: which features match.
-        depth_m: How far away things are, median, metres.
+        basis: Basis of the descriptors.
+        matches: Matching features of pairs of key images, by their place in `key`.
+        depth_m: Median distance of what is seen, metres.
     """
 
     stated: Camera | None
@@ -77,11 +83,11 @@ class Material:
 
 @dataclass(frozen=True)
 class BuiltMap:
-    """A map with what it was made of.
+    """A map and its material.
 
     Attributes:
-        material: What it was made of.
-        camera: The camera that took the images, as it is taken to be.
+        material: Key images.
+        camera: The camera that took the images.
         points: Metres, (p, 3).
         sightings: Of these points.
         agreeing: Fraction of the matches whose rays meet within 1.5 pixels.
@@ -95,16 +101,13 @@ class BuiltMap:
 
     @cached_property
     def landmarks(self) -> LandmarkMap:
-        """The map as it is used."""
+        """The map for localization."""
         return self._map(np.ones(len(self.material.key), bool), self.points, self.sightings)
 
     def hiding(self, hidden: Bool[np.ndarray, " k"]) -> LandmarkMap:
-        """The map without some of its key images: no point is seen by them, and where others are they do not say.
+        """The map without the hidden key images: their sightings are dropped, and the points triangulated again.
 
-        Which features match, the basis and the camera are those of all images.
-
-        Args:
-            hidden: Which key images.
+        Matches, basis and camera are those of all images.
         """
         touched = np.zeros(len(self.points), bool)
         touched[self.sightings.point[hidden[self.sightings.view]]] = True
@@ -154,7 +157,7 @@ class BuiltMap:
 
     @cached_property
     def _words(self) -> tuple[Float32[np.ndarray, "w d"], Float32[np.ndarray, "v k"], Float32[np.ndarray, "n k"]]:
-        """Typical descriptors, axes of what images look like as a whole, and that of each key image."""
+        """Typical descriptors, axes of summaries, and the summary of each key image."""
         rng = np.random.default_rng(0)
         sampled = _sampled(self.material.features, rng)
         count = min(_WORDS, len(sampled))
@@ -185,9 +188,9 @@ def gather(
         poses: world_from_camera of n of them.
         camera: Their camera, at their size.
         stated: Whether that is stated, or a guess.
-        scale_m: So much distance is as much of a difference as a radian, for a start.
-        given: Points of a reconstruction that a training image shows, by its number; None for none.
-        advance: Called with the number of key images done and of all.
+        scale_m: Initial distance that changes a view as much as a radian.
+        given: Gives the points of a reconstruction in a training image, by its number; None without any.
+        advance: Called with the number of key images done, and of all.
     """
     count = _FEATURES
 
@@ -221,14 +224,9 @@ def gather(
 
 
 def build(material: Material, camera: ViewCamera) -> BuiltMap | None:
-    """Find the points that key images show; None where there are hardly any, or poses do not fit.
+    """The points that key images show; None where there are hardly any, or poses do not fit.
 
-    Poses are taken as they are stated: with poses adjusted to what images see, others are localized no better, as what
-    is right is said by the stated ones.
-
-    Args:
-        material: Key images and their features.
-        camera: That took them.
+    Poses are kept as stated: adjusted poses localized no better, as errors are measured against the stated ones.
     """
     sightings, errors = find_sightings(
         material.poses, material.features, camera, material.matches, depth_m=material.depth_m, most_px=_MOST_PX
@@ -248,12 +246,7 @@ def build(material: Material, camera: ViewCamera) -> BuiltMap | None:
 
 
 def camera_found(material: Material, stated: ViewCamera) -> Adjusted | None:
-    """The camera that fits the images and their poses, found in some of them; None where too few show the same.
-
-    Args:
-        material: Key images and their features.
-        stated: The camera to start from.
-    """
+    """The camera that fits some of the key images and their poses; None where too few show the same."""
     keys = _sample_of_keys(len(material.key))
     position = {int(k): i for i, k in enumerate(keys.tolist())}
     matches = {
@@ -286,7 +279,6 @@ def camera_found(material: Material, stated: ViewCamera) -> Adjusted | None:
 
 
 def _sample_of_keys(count: int) -> Int64[np.ndarray, " k"]:
-    """Runs of key images that follow each other, evenly over all."""
     if count <= _SAMPLED_KEYS:
         return np.arange(count)
     starts = np.linspace(0, count - _RUN, _SAMPLED_KEYS // _RUN).astype(np.int64)
@@ -300,7 +292,6 @@ def _points(
     depth_m: float,
     outliers_px: Sequence[float],
 ) -> tuple[Float64[np.ndarray, "p 3"], Sightings]:
-    """Points of sightings, from which those are left out that do not fit, from round to round."""
     points = np.empty((0, 3))
     for most_px in (*outliers_px, None):
         if not len(sightings):
@@ -316,7 +307,6 @@ def _points(
 
 
 def _key_images(poses: Poses, depth_m: float) -> Int64[np.ndarray, " k"]:
-    """Images that each differ from all others in what they show, in order."""
     wider = 1.0
     while True:
         key: list[int] = []
@@ -333,20 +323,17 @@ def _key_images(poses: Poses, depth_m: float) -> Int64[np.ndarray, " k"]:
 
 
 def _sampled(features: Sequence[Features], rng: np.random.Generator) -> Float32[np.ndarray, "n d"]:
-    """Some of all descriptors, as many of each image."""
     some = max(1, _SAMPLED // len(features))
     return np.concatenate([each.descriptors[rng.permutation(len(each))[:some]] for each in features])
 
 
 def _mean_descriptors(everything: Float32[np.ndarray, "n d"], of: Sightings, count: int) -> Float32[np.ndarray, "p d"]:
-    """Of each point the mean of those of its sightings."""
     found = everything[of.feature]
     sums = np.stack([np.bincount(of.point, column, minlength=count) for column in found.T], axis=1)
     return unit_vectors(sums.astype(np.float32))
 
 
 def _within_memory(of: Sightings, count: int) -> Bool[np.ndarray, " p"]:
-    """Which points to keep so that the map stays small: those that many images show."""
     views = np.bincount(of.point, minlength=count)
     order = np.argsort(-views, kind="stable")
     size = np.cumsum(_BYTES_OF_POINT + _BYTES_OF_SIGHTING * views[order])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import UInt8
 
-from vapor.landmarks.shown import ShownLandmarks
+from vapor.landmarks.verify import ShownLandmarks
 
 _LONGER = 5  # times as long as it is each distance is drawn: of a pixel little would be seen
 _WIDTH = 960  # of the picture

@@ -13,7 +13,7 @@ from filtering.floors import Floors
 from filtering.se3 import Poses
 from sequences.frame import Trajectory
 from sequences.reading.counts import ImageCounts
-from vapor.landmarks.shown import ShownLandmarks
+from vapor.landmarks.verify import ShownLandmarks
 from vapor.reporting.keyframes import Keyframe
 from vapor.reporting.moments import Moment
 from vapor.tracking.methods import in_order

@@ -22,10 +22,10 @@ class Ablation:
     """Changes to the settings of a filter.
 
     Attributes:
-        meaning: What is different.
+        meaning: The change in words.
         localizer: Settings of the filter -> those of the ablation.
-        errors: How images err -> how the ablation takes them to.
-        told_of_kidnap: Whether it is told that the camera was carried off, and starts anew there.
+        errors: Error model of images -> that of the ablation.
+        told_of_kidnap: Whether it restarts where the camera was carried to.
     """
 
     meaning: str
@@ -34,12 +34,12 @@ class Ablation:
     told_of_kidnap: bool = False
 
     def start(self, config: LocalizerConfig, *, rng: np.random.Generator, kidnap_index: int | None = None) -> Localizer:
-        """A filter without that part.
+        """The ablated filter.
 
         Args:
             config: Settings of the filter, already changed by `localizer`.
             rng: Source of its random draws.
-            kidnap_index: First image after the camera was carried off; None where it was not.
+            kidnap_index: First image after the camera was carried off; None without a kidnap.
         """
 
         def begin() -> ParticleLocalizer:
@@ -49,8 +49,6 @@ class Ablation:
 
 
 class _ToldOfKidnap:
-    """A filter that starts anew at one image, without the odometry that leads there."""
-
     def __init__(self, begin: Callable[[], ParticleLocalizer], kidnap_index: int | None) -> None:
         self._begin = begin
         self._kidnap_index = kidnap_index

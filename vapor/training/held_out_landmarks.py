@@ -12,9 +12,7 @@ from filtering.mapped_views import MappedViews
 from filtering.se3 import Poses
 from vapor.calibration.calibrate import NUM_SAMPLES
 from vapor.calibration.familiarity import extract_features
-from vapor.calibration.lasting_errors import LastingErrors, effective_images
-from vapor.calibration.lasting_mistakes import mistaken_lengths
-from vapor.calibration.travel import Travel
+from vapor.calibration.lasting_errors import LastingErrors, Travel, effective_images, mistaken_lengths
 from vapor.calibration.verification import SeenPlaces, evidence, fit_verification, none_right
 from vapor.checkpoints.calibration import Calibration
 from vapor.checkpoints.thinning import spaced
@@ -23,7 +21,7 @@ from vapor.landmarks.localize import LandmarkLocalizer, VerifiedPose
 from vapor.landmarks.verify import Verification
 from vapor.regressors.base import PoseRegressor
 from vapor.regressors.familiarity import Familiarity
-from vapor.tracking.passage import posterior_of
+from vapor.tracking.follow import posterior_of
 from vapor.training.config import TrainConfig
 from vapor.training.holding_out import Split
 from vapor.training.landmarks import FoundLandmarks

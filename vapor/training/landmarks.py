@@ -15,9 +15,9 @@ from vapor.calibration.verification import fit_reach
 from vapor.calibration.verified_errors import QueryFeatures, VerifiedErrors, fit_verified_errors, leave_out
 from vapor.checkpoints.scene_scale import flat_log_density
 from vapor.landmarks.build import BuiltMap, Material, build, gather
+from vapor.landmarks.landmark_map import ViewCamera
 from vapor.landmarks.localize import LandmarkLocalizer, query_features
 from vapor.landmarks.verify import Verification
-from vapor.landmarks.view_camera import ViewCamera
 from vapor.training.config import CameraChoice
 from vapor.training_data.ground import near_scale_m
 from vapor.training_data.training_set import TrainingSet
@@ -130,5 +130,5 @@ def _best_map(
     if fit.by_found is None or (choice == "auto" and not fit.is_better):
         return fit.by_stated, ()
     taken = "" if choice == "estimated" or not known else "; so it is taken (--camera stated: the stated one)"
-    said = fit.said(images.camera_size[0] if images.camera_size else stated.camera.width)
+    said = fit.in_words(images.camera_size[0] if images.camera_size else stated.camera.width)
     return fit.by_found, (f"camera: {said}{taken}",)

@@ -23,8 +23,7 @@ from vapor.benchmark.faults.effects import (
 from vapor.benchmark.faults.table import FAULTS, impossible
 from vapor.benchmark.faults.timing import find_moment, image_after
 from vapor.benchmark.trials.replay import Replay
-from vapor.tracking.dead_reckoning import dead_reckoning
-from vapor.tracking.passage import posterior_of
+from vapor.tracking.follow import dead_reckoning, posterior_of
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 

@@ -17,7 +17,7 @@ from vapor.benchmark.evaluation.lengths import scaled_calibration, scaled_locali
 from vapor.benchmark.trials import run as trial_run
 from vapor.benchmark.trials.trial import Segment, Trial
 from vapor.checkpoints.calibration import Calibration
-from vapor.tracking.belief import Belief
+from vapor.tracking.loop import Belief
 from vapor.tracking.methods import METHODS
 
 pytestmark = pytest.mark.usefixtures("unchecked")

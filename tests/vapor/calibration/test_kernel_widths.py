@@ -5,7 +5,7 @@ import pytest
 
 from filtering.se3 import Poses
 from tests.helpers.erring_posteriors import anywhere
-from vapor.calibration.kernel_widths import fit_widths
+from vapor.calibration.calibrate import fit_widths
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 

@@ -12,9 +12,8 @@ from filtering.se3 import Poses
 from tests.helpers.erring_posteriors import TRUE, fit, posteriors, walk
 from tests.helpers.full import full, some
 from vapor.calibration.image_errors import fit_errors
-from vapor.calibration.lasting_errors import LastingErrors, lasting_errors
-from vapor.calibration.observations import Observations
-from vapor.calibration.travel import Travel
+from vapor.calibration.lasting_errors import LastingErrors, Travel, lasting_errors
+from vapor.calibration.places import Observations
 from vapor.checkpoints.scene_scale import default_errors, scene_extent
 
 pytestmark = pytest.mark.usefixtures("unchecked", "widest_places")  # that is what is found here as well

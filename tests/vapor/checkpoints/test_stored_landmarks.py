@@ -10,9 +10,8 @@ from filtering.error_model import ErrorModel
 from sequences.frame import Camera
 from tests.helpers.checkpoints import make_checkpoint
 from vapor.checkpoints.file_format import load_checkpoint, load_description, save_checkpoint
-from vapor.landmarks.landmark_map import LandmarkMap
+from vapor.landmarks.landmark_map import LandmarkMap, ViewCamera
 from vapor.landmarks.verify import Landmarks, Verification
-from vapor.landmarks.view_camera import ViewCamera
 from vapor.tensor_files import CheckpointError, read_safetensors, write_safetensors
 
 

@@ -17,7 +17,7 @@ from vapor.evaluation.floors import (
     on_true_floor,
     once_on_floor,
 )
-from vapor.tracking.belief import Belief
+from vapor.tracking.loop import Belief
 
 HEIGHT = 3.0
 

@@ -14,9 +14,9 @@ from vapor.calibration.verification import SeenPlaces, evidence, fit_reach, fit_
 from vapor.calibration.verified_errors import LeftOut, fit_verified_errors, leave_out
 from vapor.landmarks.build import build
 from vapor.landmarks.features import Features, restored
+from vapor.landmarks.landmark_map import ViewCamera
 from vapor.landmarks.localize import LandmarkLocalizer, VerifiedPose, query_features
 from vapor.landmarks.verify import Landmarks, LandmarkVerifier, Verification, grey_view, verified
-from vapor.landmarks.view_camera import ViewCamera
 
 SHARP = ErrorModel(floor=(0.01,) * 3 + (0.003,) * 3, typical_std=(0.01,) * 3 + (0.003,) * 3)
 ERRORS = ErrorModel(floor=(0.3,) * 3 + (0.1,) * 3, typical_std=(0.3,) * 3 + (0.1,) * 3, verified=SHARP)

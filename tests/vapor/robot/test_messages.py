@@ -11,7 +11,7 @@ from filtering.floors import Floors
 from filtering.se3 import Poses
 from sequences.recordings.message_definitions import decoder, encoder
 from sequences.recordings.messages import covariance_to_ros
-from vapor.robot.messages import camera_of_initial_pose, diagnostics_message, pose_message, tf_message
+from vapor.robot.publisher import camera_of_initial_pose, diagnostics_message, pose_message, tf_message
 
 BASE = Poses.exp(np.array([2.0, -1.0, 0.0, 0.0, 0.0, 2.0]))
 MOUNT = Poses.exp(np.array([0.3, 0.1, 1.2, 1.2, -1.2, 1.2]))

@@ -23,7 +23,7 @@ from tests.helpers.live_session import ELSEWHERE, KnowingModel, Running, hurry, 
 from tests.helpers.live_system import stamp
 from tests.helpers.sequence_files import BEGIN_NS, IMAGES, ODOMETRY, Walk, rewrite, world_from_base, world_from_camera
 from vapor.robot.config import LiveConfig
-from vapor.robot.live import Live
+from vapor.robot.session import LiveSession
 
 NS = 1_000_000_000
 
@@ -123,8 +123,8 @@ def test_the_last_transform_is_kept_where_that_is_asked_for(walk: Path) -> None:
     model = KnowingModel()
     with running(walk, model=model, keep_tf=True) as run:
         replayed(run, walk, images=6)
-        run.control("/estimate/start_anew")
-        run.wait(lambda: "starts anew" in run.told)
+        run.control("/estimate/reset")
+        run.wait(lambda: "reset" in run.told)
         belief: Any = run.session._belief
         assert belief.anchor is None
     model = KnowingModel()
@@ -160,7 +160,7 @@ def test_a_message_on_initialpose_begins_anew_there(walk: Path) -> None:
         run.control("/initialpose", kind, header={"frame_id": "odom"}, **told)
         run.wait(lambda: any("expected one in 'map'" in line for line in run.told))
         run.control("/initialpose", kind, header={"frame_id": "map"}, **told)
-        run.wait(lambda: any("/initialpose says" in line for line in run.told))
+        run.wait(lambda: any("by /initialpose" in line for line in run.told))
         belief: Any = run.session._belief
         best = belief.localizer.predict(None).modes[0].world_from_camera
         base = best @ SequenceReader(walk).base_from_camera.inverse()  # pyright: ignore[reportOptionalMemberAccess]
@@ -326,7 +326,7 @@ def test_a_stated_pose_is_of_now_and_not_of_the_last_image(walk: Path, tmp_path:
         numbers = np.array([*base.translation, *base.as_quat_xyzw()])
         told = {"pose": numbers, "covariance": (1e-4 * np.eye(6)).ravel()}
         run.control("/initialpose", "geometry_msgs/PoseWithCovarianceStamped", header={"frame_id": "map"}, pose=told)
-        run.wait(lambda: any("/initialpose says" in line for line in run.told))
+        run.wait(lambda: any("by /initialpose" in line for line in run.told))
         pose = run.messages("pose")[-1]
         believed = pose_from_message(pose.pose.pose)
         assert float(believed.distance(world_from_camera(stamp(pose.header)))[0]) < 0.05
@@ -427,9 +427,9 @@ def test_an_error_of_the_callback_comes_out(walk: Path) -> None:
     assert isinstance(run.error, ZeroDivisionError)
 
 
-def live_of(walk: Path) -> tuple[Live, Any]:
+def live_of(walk: Path) -> tuple[LiveSession, Any]:
     transport = offering(messages_of(walk))
-    return Live(knowing(KnowingModel()), transport, ReadingOptions(), LiveConfig(), lambda _: None), transport
+    return LiveSession(knowing(KnowingModel()), transport, ReadingOptions(), LiveConfig(), lambda _: None), transport
 
 
 def test_estimates_come_by_async_for_and_its_end_leaves_the_system(walk: Path) -> None:

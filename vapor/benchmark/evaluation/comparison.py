@@ -16,8 +16,8 @@ from vapor.benchmark.evaluation.lengths import scaled_belief, scaled_mode, scale
 from vapor.evaluation.consistency import evaluate_belief, truth_among_modes
 from vapor.evaluation.floors import evaluate_floor, floor_accuracy
 from vapor.evaluation.trajectory import evaluate_trajectory
-from vapor.tracking.belief import Belief
 from vapor.tracking.follow import Followed
+from vapor.tracking.loop import Belief
 from vapor.tracking.methods import METHODS, in_order
 
 

@@ -13,7 +13,7 @@ from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.odometry_fit.result import OdometryFit
 from vapor.checkpoints.calibration import Calibration
-from vapor.tracking.belief import Belief
+from vapor.tracking.loop import Belief
 
 
 def scaled_poses(poses: Poses, factor: float) -> Poses:

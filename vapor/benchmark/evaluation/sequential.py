@@ -17,9 +17,8 @@ from jaxtyping import Bool
 
 from filtering.se3 import Poses
 from vapor.tracking.ablations import ABLATIONS, Ablation
-from vapor.tracking.follow import Followed, follow
+from vapor.tracking.follow import Followed, Passage, follow
 from vapor.tracking.methods import BASELINES
-from vapor.tracking.passage import Passage
 
 LENGTHS = (15, 100)
 """Images of a sequence."""

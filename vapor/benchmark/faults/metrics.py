@@ -16,7 +16,7 @@ from vapor.benchmark.faults import timing
 from vapor.benchmark.faults.table import FAULTS, NONE
 from vapor.benchmark.faults.timing import LONG_S, image_after
 from vapor.evaluation.trajectory import convergence_s, is_right
-from vapor.tracking.belief import Belief
+from vapor.tracking.loop import Belief
 
 
 def evaluate_fault(

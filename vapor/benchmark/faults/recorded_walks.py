@@ -23,7 +23,7 @@ from vapor.benchmark.recordings.storage import load_recording
 from vapor.benchmark.trials.replay import Replay, follow_replay
 from vapor.benchmark.trials.setup import Setup, setup_settings
 from vapor.storage import fetched
-from vapor.tracking.belief import Belief
+from vapor.tracking.loop import Belief
 
 RECORDED = "recorded"
 """What recordings are reported under, where synthetic walks are by their scene."""

@@ -19,7 +19,7 @@ from vapor.benchmark.recordings.settings import FileSettings, RecordingSettings
 from vapor.benchmark.recordings.storage import load_recording
 from vapor.benchmark.trials.replay import Replay
 from vapor.cache import cached, code_digest
-from vapor.tracking.belief import Belief
+from vapor.tracking.loop import Belief
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from vapor.benchmark.recordings.settings import FileSettings, RecordingSettings
 from vapor.benchmark.trials.replay import Replay, follow_trial, load_replay, trial_settings
 from vapor.benchmark.trials.setup import Setup
 from vapor.benchmark.trials.trial import Trial
-from vapor.tracking.belief import Belief
+from vapor.tracking.loop import Belief
 
 NOISE_IMAGES = 50
 """How many images of noise differ; then they repeat."""

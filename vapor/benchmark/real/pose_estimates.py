@@ -16,7 +16,7 @@ from sequences.odometry import OdometryNoise
 from vapor.benchmark.real.row import Draw, RowContext
 from vapor.pipeline.estimate_model import EstimateConfig, EstimateModel, errors_of
 from vapor.pipeline.fuse import over_sequences
-from vapor.tracking.passage import Passage
+from vapor.tracking.follow import Passage
 
 
 @dataclass(frozen=True)

@@ -21,10 +21,10 @@ from sequences.odometry_fit.pieces import OdometrySegment
 from sequences.trajectories.increments import odometry_between
 from vapor.benchmark.real.row import Draw, RowContext
 from vapor.calibration.image_errors import fit_errors
-from vapor.calibration.observations import Observations
-from vapor.calibration.travel import Travel
+from vapor.calibration.lasting_errors import Travel
+from vapor.calibration.places import Observations
 from vapor.checkpoints.scene_scale import default_errors
-from vapor.tracking.passage import Passage
+from vapor.tracking.follow import Passage
 
 
 @dataclass(frozen=True)

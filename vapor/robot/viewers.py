@@ -1,32 +1,22 @@
-"""What goes on, served to Foxglove by a WebSocket: the same messages as in ROS 2 and in files."""
+"""Viewers of live localization: Foxglove by a WebSocket, and Rerun in a thread that never delays the loop."""
 
 from __future__ import annotations
 
 import logging
 import threading
 from collections.abc import Callable
-from types import TracebackType
+from types import SimpleNamespace, TracebackType
 from typing import Any
 
 from filtering.errors import VaporTrackError
+from filtering.estimate import Estimate
+from filtering.se3 import Poses
+from sequences.frame import Frame
 from sequences.recordings.message_definitions import DEFINITIONS, schema_name, schema_text
 from sequences.recordings.source import TF_STATIC, RawMessage
+from vapor.reporting.viewer import Viewer
 
 _MOST_LATCHED = 100
-
-
-class _Late:
-    """Listens to who begins to listen, in a thread of the server."""
-
-    def __init__(self, repeat: Callable[[str], None]) -> None:
-        self._repeat = repeat
-
-    def on_subscribe(self, client: object, channel: Any) -> None:
-        """Somebody did."""
-        self._repeat(channel.topic)
-
-    def on_unsubscribe(self, client: object, channel: object) -> None:
-        """Somebody does no longer."""
 
 
 class FoxgloveServer:
@@ -34,7 +24,7 @@ class FoxgloveServer:
 
     Args:
         host: Address to serve on.
-        port: Port to serve on; 0 for any that is free.
+        port: Port to serve on; 0 for any free one.
 
     Raises:
         VaporTrackError: foxglove-sdk is not installed, or the port is in use or cannot be opened.
@@ -47,17 +37,17 @@ class FoxgloveServer:
             raise VaporTrackError(
                 "foxglove-sdk is not installed, expected it for --foxglove: pip install vapor-track[live]"
             ) from error
-        for name in ("foxglove", "tungstenite"):  # without handlers, Python prints of clients that break off
+        for name in ("foxglove", "tungstenite"):  # without handlers, Python prints errors of clients
             logging.getLogger(name).addHandler(logging.NullHandler())
         self._foxglove = foxglove
         self._context = foxglove.Context()
         self._channels: dict[tuple[str, str], Any] = {}
         self._latched: dict[str, list[RawMessage]] = {}
         self._lock = threading.Lock()
-        late: Any = _Late(self._repeat)
+        listener: Any = SimpleNamespace(on_subscribe=self._repeat, on_unsubscribe=lambda client, channel: None)
         try:
             self._server = foxglove.start_server(
-                name="vapor-track", host=host, port=port, context=self._context, server_listener=late
+                name="vapor-track", host=host, port=port, context=self._context, server_listener=listener
             )
         except Exception as error:  # RuntimeError and OSError, by its version
             option = "--foxglove-port takes another" if "in use" in str(error) else "--foxglove-host, --foxglove-port"
@@ -65,7 +55,7 @@ class FoxgloveServer:
 
     @property
     def port(self) -> int:
-        """Where it listens."""
+        """Its port."""
         return self._server.port
 
     def __enter__(self) -> FoxgloveServer:
@@ -77,11 +67,11 @@ class FoxgloveServer:
         self._server.stop()
 
     def write(self, raw: RawMessage) -> None:
-        """Serve a message to those who watch."""
+        """Serve a message to the subscribers."""
         key = raw.topic, raw.type
         if key not in self._channels:
             self._channels[key] = self._channel(raw)
-        if raw.topic == TF_STATIC:  # told once, and of several nodes
+        if raw.topic == TF_STATIC:  # sent once, by several nodes
             with self._lock:
                 kept = self._latched.setdefault(raw.topic, [])
                 if all(raw.data != before.data for before in kept):
@@ -90,10 +80,9 @@ class FoxgloveServer:
         if (channel := self._channels[key]) is not None:
             channel.log(raw.data, log_time=raw.log_time_ns)
 
-    def _repeat(self, topic: str) -> None:
-        """Tell again what is told only once, as somebody begins to listen."""
+    def _repeat(self, client: object, channel: Any) -> None:
         with self._lock:
-            kept = list(self._latched.get(topic, []))
+            kept = list(self._latched.get(channel.topic, []))
         for raw in kept:
             self._channels[raw.topic, raw.type].log(raw.data, log_time=raw.log_time_ns)
 
@@ -104,3 +93,57 @@ class FoxgloveServer:
             name=schema_name(raw.type), encoding="ros2msg", data=schema_text(raw.type).encode()
         )
         return self._foxglove.Channel(raw.topic, schema=schema, message_encoding=raw.encoding, context=self._context)
+
+
+_LEAVE_S = 3.0  # that a viewer gets at the end
+
+
+class WatchingViewer:
+    """Shows estimates in a thread; a viewer slower than the camera skips images, and one that fails is given up.
+
+    Args:
+        opened: Opens the viewer; called here, so that its errors come at once.
+        tell: Called once, when the viewer fails.
+    """
+
+    def __init__(self, opened: Callable[[], Viewer], tell: Callable[[str], None]) -> None:
+        self._viewer, self._tell = opened(), tell
+        self._newest: tuple[Frame, Estimate, Poses | None] | None = None
+        self._closed = False
+        self._turn = threading.Condition()
+        self._thread = threading.Thread(target=self._work, name="viewer", daemon=True)
+        self._thread.start()
+
+    def log(self, frame: Frame, estimate: Estimate, posterior_poses: Poses | None) -> None:
+        """Show this image next, in place of any that waits."""
+        with self._turn:
+            self._newest = frame, estimate, posterior_poses
+            self._turn.notify()
+
+    def close(self) -> None:
+        """Stop showing."""
+        with self._turn:
+            self._closed = True
+            self._turn.notify()
+        self._thread.join(_LEAVE_S)
+
+    def __enter__(self) -> WatchingViewer:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _work(self) -> None:
+        try:
+            while True:
+                with self._turn:
+                    self._turn.wait_for(lambda: self._closed or self._newest is not None)
+                    shown, self._newest = self._newest, None
+                if shown is None:
+                    break
+                self._viewer.log(*shown)
+            self._viewer.close()
+        except VaporTrackError as error:
+            self._tell(f"the viewer stopped: {error}")
