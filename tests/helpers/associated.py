@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from filtering.association import Link, correct, evidence, gate
+from filtering.association import Correlation, correct, evidence, gate
 from filtering.hypotheses import Hypotheses
 from filtering.posterior import PosePosterior
 
@@ -21,7 +21,7 @@ def associate(
     belief: Hypotheses, posterior: PosePosterior, camera: int, *, novelty: float, distance: float
 ) -> Associated:
     """Weigh and correct a belief by an image of the camera with this number, which came so far since its last."""
-    pairs = gate(belief, posterior, [Link(camera, distance)])
+    pairs = gate(belief, posterior, [Correlation(camera, distance)])
     found = evidence(belief, posterior, pairs)
     after = correct(belief.reweighted(novelty * found.log_likelihood), posterior, pairs, found.outlier)
     return Associated(after, found.log_likelihood, found.agreement)
