@@ -19,14 +19,7 @@ from vapor.checkpoints.scene_scale import RADIUS_RAD, flat_log_density, scene_ex
 
 @dataclass(frozen=True)
 class Change:
-    """The result of one fit.
-
-    Attributes:
-        what: Subject of the fit, in words.
-        before: Values before the fit, by the name of their setting.
-        after: Values after it, likewise.
-        gain: Log likelihood gained, nats per held-out image; None for other criteria.
-    """
+    """Values of a fit before and after, by their setting's name; `gain` is in nats per held-out image."""
 
     what: str
     before: dict[str, float | Six]
@@ -53,9 +46,8 @@ _PULL, _PULLED_TO = 1e-4, np.log(0.02)  # of the floor's logarithms, which decid
 class FoundErrors:
     """The likeliest errors for one reach of a place.
 
-    Attributes:
-        score: Mean log likelihood, with the pull of the floor.
-        parameters: Logarithms of spread and floor (in extents), logit of the outliers, logarithm of the tail, (9,).
+    `score` is the mean log likelihood, with the pull of the floor. `parameters` are logarithms of spread and floor (in
+    extents), logit of the outliers, and logarithm of the tail, (9,).
     """
 
     score: float
@@ -180,14 +172,7 @@ _UNSURE = 10.0  # over the number of images: by how much the variances of a fit 
 
 @dataclass(frozen=True)
 class ErrorFit:
-    """Errors of the posteriors of images with true poses.
-
-    Attributes:
-        errors: The model.
-        changes: One for each fit.
-        coverage: Fractions of the images whose true pose is in the 50, 90 and 95 % region of its likeliest place.
-        effective_images: Number of independent images with as much information.
-    """
+    """Errors of the posteriors of images with true poses, with the coverage of their 50, 90 and 95 % regions."""
 
     errors: ErrorModel
     changes: tuple[Change, ...]

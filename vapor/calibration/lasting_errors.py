@@ -17,13 +17,7 @@ _MOST_PAIRS = 10**6
 
 @dataclass(frozen=True)
 class Travel:
-    """Motion of the camera between n images, and their passes.
-
-    Attributes:
-        pass_number: Pass of each image, (n,); images of one pass lie together.
-        metres: Travelled since the first image of its pass, (n,).
-        radians: Turned since then, (n,).
-    """
+    """Metres and radians since the first image of its pass of n images; images of one pass lie together."""
 
     pass_number: Int64[np.ndarray, " n"]
     metres: Float64[np.ndarray, " n"]
@@ -68,13 +62,7 @@ _WINDOW, _LEAST_CORRELATION = 4.0, 0.1
 
 @dataclass(frozen=True)
 class LastingErrors:
-    """Correlation of errors along the path.
-
-    Attributes:
-        fraction: Fraction of the variance that is correlated.
-        length_m: Length over which the correlation fades to 1/e, metres.
-        length_rad: Likewise, radians.
-    """
+    """Correlated fraction of the variance of errors, and the lengths over which the correlation fades to 1/e."""
 
     fraction: float
     length_m: float
@@ -147,10 +135,6 @@ def lasting_errors(
 
 
 def _correlation_length(lengths: Float64[np.ndarray, " k"], products: Float64[np.ndarray, " k"]) -> float:
-    """Integral of the correlation over the distance between images, from products of pairs.
-
-    It ends at a few times the length over which the correlation fades (Sokal's window), or with the last pairs.
-    """
     bins = np.searchsorted(_BINS, lengths, side="right") - 1
     count = np.bincount(bins, minlength=len(_BINS))
     mean = np.bincount(bins, products, minlength=len(_BINS)) / np.maximum(count, 1)

@@ -20,13 +20,7 @@ from filtering.se3 import Poses
 
 @dataclass(frozen=True)
 class Observations:
-    """Posterior samples of n images with known true poses.
-
-    Attributes:
-        samples: Posterior samples of each, world_from_camera, (m,) each.
-        truth: True poses, world_from_camera, (n,).
-        score: `PosePosterior.unfamiliarity` of each, (n,); None where the model has no score.
-    """
+    """Posterior samples, (m,) each, and true poses of n images, and `PosePosterior.unfamiliarity`, if any."""
 
     samples: Sequence[Poses]
     truth: Poses
@@ -79,10 +73,10 @@ class Places:
     """Places of n images, those nearest to the true pose, by image.
 
     Attributes:
-        residual: The true pose from each place, ξ = (v, ω), (p, 6).
-        covariance: Of the samples, (p, 6, 6).
-        fraction: Fraction of the image's samples in each, (p,).
-        image: The image of each, in increasing order, every image at least once, (p,).
+        residual: The true pose from each place, ξ = (v, ω).
+        covariance: Of the samples.
+        fraction: Fraction of the image's samples in each.
+        image: The image of each, in increasing order, every image at least once.
     """
 
     residual: Float64[np.ndarray, "p 6"]

@@ -32,12 +32,8 @@ _ELSEWHERE = 0.5, 10.0  # images that were seen before: in so many of so many an
 class SeenPlaces:
     """The places of one held-out image with verified poses.
 
-    Attributes:
-        inliers: Landmarks that verify each, (j,).
-        proposed: The network's weight of each one's place, (j,).
-        right: Which of these are at the true pose, (j,).
-        others: Weight of all places of the network.
-        others_right: Weight of those at the true pose.
+    Of each pose: its landmarks, the network's weight of its place, and whether it is at the true pose. Of the network's
+    places: the weight of all, and of those at the true pose.
     """
 
     inliers: Float64[np.ndarray, " j"]

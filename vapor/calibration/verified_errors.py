@@ -48,10 +48,10 @@ class LeftOut:
     """Training images, localized by a map without those near them in time.
 
     Attributes:
-        image: Number of each, in order of time, (n,).
+        image: Number of each, in order of time.
         found: Verified poses of each.
         truth: True poses, (n,).
-        view_distance: Distance from the most similar view of the map, see `MappedViews.distances`, (n,).
+        view_distance: Distance from the most similar view of the map, see `MappedViews.distances`.
         depth_m: Median distance of what is seen, metres.
     """
 
@@ -168,7 +168,6 @@ def _without(
 def _stretches(
     poses: Poses, sequence: Int64[np.ndarray, " n"], depth_m: float, length: float
 ) -> tuple[Int64[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
-    """The stretch of each image, over which the view changes by this length, and whether the image is in its middle."""
     change = np.cumsum(view_change(poses, depth_m))
     begins = np.flatnonzero(np.diff(sequence, prepend=sequence[:1] - 1))
     first = begins[np.searchsorted(begins, np.arange(len(poses)), side="right") - 1]
@@ -182,16 +181,9 @@ def _stretches(
 
 @dataclass(frozen=True)
 class VerifiedErrors:
-    """Errors of verified poses.
+    """Errors of verified poses in the camera's frame, of the images of the fit.
 
-    Attributes:
-        errors: The model, in the camera's frame.
-        images: Number of images of the fit.
-        effective_images: Number of independent images with as much information.
-        elsewhere: See `LeftOut.elsewhere`.
-        median_m: Median error of verified poses of the right place, metres.
-        median_rad: Likewise, radians.
-        coverage: Fractions of the images whose true pose is in the 50, 90 and 95 % region.
+    `elsewhere` is that of `LeftOut`, medians are of poses of the right place, `coverage` of the 50, 90 and 95 % regions.
     """
 
     errors: ErrorModel

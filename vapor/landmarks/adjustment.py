@@ -28,14 +28,9 @@ _DENSE = 3000  # unknowns, up to which a dense solution is faster
 
 @dataclass(frozen=True)
 class Adjusted:
-    """Result of a bundle adjustment.
+    """Camera, poses (n,) and points of a bundle adjustment, and the reprojection error of each sighting, pixels.
 
-    Attributes:
-        camera: The camera.
-        camera_from_world: Poses of the views, (n,).
-        points: Metres, (p, 3).
-        errors: Reprojection error of each sighting, pixels, (m,).
-        focal_std: Standard deviation of the logarithm of the focal length, from pixels alone.
+    `focal_std` is the standard deviation of the logarithm of the focal length, from pixels alone.
     """
 
     camera: ViewCamera
@@ -91,15 +86,6 @@ def _with_intrinsics(first: ViewCamera, values: Float64[np.ndarray, "5"]) -> Vie
 
 @dataclass(frozen=True)
 class _System:
-    """Normal equations of one Gauss-Newton step, with Cauchy weights of the sightings.
-
-    Attributes:
-        cameras: Jacobian by poses (6 each) and intrinsics (5), (2m, c).
-        of_points: Jacobian by points, (2m, 3p).
-        residual: (2m,).
-        blocks: Information of each point alone, (p, 3, 3).
-    """
-
     cameras: sparse.csr_matrix
     of_points: sparse.csr_matrix
     residual: Float64[np.ndarray, " r"]
@@ -141,7 +127,6 @@ class _System:
     def solved(
         self, prior: Float64[np.ndarray, " c"], towards: Float64[np.ndarray, " c"]
     ) -> tuple[Float64[np.ndarray, " c"], Float64[np.ndarray, "p 3"], Float64[np.ndarray, "5 5"]]:
-        """Steps of cameras and points, and information of the intrinsics, given information and gradient of a prior."""
         count = len(self.blocks)
         scale = np.trace(self.blocks, axis1=1, axis2=2)[:, None, None] + 1e-12
         inverse = sparse.bsr_matrix(

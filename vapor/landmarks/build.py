@@ -59,7 +59,7 @@ class Material:
 
     Attributes:
         stated: Stated camera of the images, at their size; None without one.
-        key: Numbers of the key images, in order, (k,).
+        key: Numbers of the key images, in order.
         poses: world_from_camera of the key images, (k,).
         features: Of each, in the basis.
         basis: Basis of the descriptors.
@@ -83,15 +83,7 @@ class Material:
 
 @dataclass(frozen=True)
 class BuiltMap:
-    """A map and its material.
-
-    Attributes:
-        material: Key images.
-        camera: The camera that took the images.
-        points: Metres, (p, 3).
-        sightings: Of these points.
-        agreeing: Fraction of the matches whose rays meet within 1.5 pixels.
-    """
+    """A map of points and its material; `agreeing` is the fraction of matches whose rays meet."""
 
     material: Material
     camera: ViewCamera
@@ -157,7 +149,6 @@ class BuiltMap:
 
     @cached_property
     def _words(self) -> tuple[Float32[np.ndarray, "w d"], Float32[np.ndarray, "v k"], Float32[np.ndarray, "n k"]]:
-        """Typical descriptors, axes of summaries, and the summary of each key image."""
         rng = np.random.default_rng(0)
         sampled = _sampled(self.material.features, rng)
         count = min(_WORDS, len(sampled))

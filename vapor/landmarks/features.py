@@ -22,12 +22,7 @@ _CONTRAST = 0.01  # low: a wall has features too
 
 @dataclass(frozen=True)
 class Features:
-    """n local features of an image.
-
-    Attributes:
-        pixels: x and y from the centre of the first pixel, (n, 2).
-        descriptors: Unit vectors, (n, d).
-    """
+    """Pixels of n local features, from the centre of the first pixel, and their descriptors, unit vectors."""
 
     pixels: Float64[np.ndarray, "n 2"]
     descriptors: Float32[np.ndarray, "n d"]
@@ -54,12 +49,7 @@ def extract(view: UInt8[np.ndarray, "h w"], count: int, *, longest: int) -> Feat
 
 @dataclass(frozen=True)
 class Basis:
-    """Principal components of a place's descriptors, at half the size.
-
-    Attributes:
-        mean: Of the roots of SIFT descriptors, (128,).
-        axes: Principal axes, (128, 64).
-    """
+    """Principal components of a place's descriptors, at half the size: mean (128,) and axes (128, 64)."""
 
     mean: Float32[np.ndarray, " s"]
     axes: Float32[np.ndarray, "s d"]

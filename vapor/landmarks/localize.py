@@ -68,10 +68,10 @@ class VerifiedPose:
 
     Attributes:
         world_from_camera: One pose.
-        covariance: Of ξ = (v, ω) in its tangent, metres and radians, from the residuals, (6, 6).
+        covariance: Of ξ = (v, ω) in its tangent, metres and radians, from the residuals.
         inliers: Number of landmarks that agree.
-        pixels: Their undistorted pixels in the image, (k, 2).
-        residuals: Projections from the pose minus these, (k, 2).
+        pixels: Their undistorted pixels in the image.
+        residuals: Projections from the pose minus these.
     """
 
     world_from_camera: Poses
@@ -134,7 +134,6 @@ class LandmarkLocalizer:
         return sorted(found, key=lambda each: -each.inliers)
 
     def _places(self, features: Features, proposed: Poses | None) -> list[list[int]]:
-        """Groups of key images of one place: the most similar one, those near proposed poses, and other ones."""
         m = self.landmarks
         likeness = m.summaries @ m.summary(features)
         likeness[self._ignored] = -np.inf

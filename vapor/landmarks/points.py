@@ -14,14 +14,7 @@ _ROUNDS = 4
 
 @dataclass(frozen=True)
 class Sightings:
-    """m sightings of p points by views.
-
-    Attributes:
-        view: View of each, (m,).
-        point: Point of each, from 0 to p − 1, each of them at least once, (m,).
-        feature: Number of its feature among those of all views, (m,).
-        pixels: Position in the image, (m, 2).
-    """
+    """m sightings of points by views; each point has one at least. Features are those of all views."""
 
     view: Int64[np.ndarray, " m"]
     point: Int64[np.ndarray, " m"]
@@ -41,13 +34,7 @@ class Sightings:
 
 @dataclass(frozen=True)
 class Seen:
-    """Points in the view of a pinhole camera.
-
-    Attributes:
-        at: x and y of the rays to them, (m, 2).
-        inverse_depth: Per metre; 0 behind the camera, (m,).
-        in_camera: The points in the camera's frame, metres, (m, 3).
-    """
+    """Points in the view of a pinhole camera: x and y of the rays, inverse depth (0 behind), metres."""
 
     at: Float64[np.ndarray, "m 2"]
     inverse_depth: Float64[np.ndarray, " m"]

@@ -33,9 +33,9 @@ class ShownLandmarks:
 
     Attributes:
         image: RGB, of the size at which features are found.
-        features: Pixels of features, (n, 2).
-        seen: Pixels of the landmarks, (k, 2).
-        predicted: Their projections from the pose, (k, 2).
+        features: Pixels of features.
+        seen: Pixels of the landmarks.
+        predicted: Their projections from the pose.
         others: Number of landmarks of each other verified pose.
         number: Of the image in its run, from 0.
     """
@@ -72,12 +72,7 @@ class Verification:
     def scores(
         self, inliers: Float64[np.ndarray, " j"], weights: Float64[np.ndarray, " j"]
     ) -> Float64[np.ndarray, " j"]:
-        """Scores of verified places, to compare with the weights of others.
-
-        Args:
-            inliers: Landmarks that verify each.
-            weights: The network's weights of their places, 0 where it proposes none there.
-        """
+        """Scores of verified places of these weights by the network, to compare with the weights of others."""
         return self.gain * (inliers / LEAST_INLIERS) ** self.power * (weights + self.unproposed)
 
 
@@ -110,13 +105,8 @@ def verified(
 ) -> PosePosterior:
     """The posterior with the verified places; as it is where there are none.
 
-    An image that verifies a place is of this map, however unlike the training images it is, and so not foreign.
-
-    Args:
-        posterior: The network's, with errors of verified places.
-        found: The verified poses of the same image.
-        settings: Weights.
-        mapped: Where landmarks can verify places; None for everywhere.
+    An image that verifies a place is of this map, however unlike the training images it is, and so not foreign. `mapped`
+    states where landmarks can verify places; None for everywhere.
     """
     of_verified = posterior.errors.verified
     if not found or of_verified is None:
@@ -151,14 +141,9 @@ class Landmarks:
 
 
 class LandmarkVerifier:
-    """Adds verified places to the posteriors of any network.
+    """Adds the places that a model's landmarks verify to the posteriors of any network; errors are `errors.verified`.
 
-    Args:
-        landmarks: A model's, see `ModelDescription.landmarks`.
-        errors: The model's `calibration.errors.verified`.
-
-    Attributes:
-        latest: Verified poses of the latest image, that of most landmarks first.
+    `latest` has the verified poses of the latest image, that of most landmarks first.
     """
 
     def __init__(self, landmarks: Landmarks, errors: ErrorModel) -> None:
@@ -171,7 +156,6 @@ class LandmarkVerifier:
     def _view(
         self, image: UInt8[np.ndarray, "h w 3"], camera: Camera | None
     ) -> tuple[UInt8[np.ndarray, "h2 w2 3"], bool]:
-        """The image, resampled if of another camera than the map's, and whether the lens distorts it."""
         stated = self.landmarks.map.stated
         if camera is None or (stated is not None and same_view(camera, stated)):
             return image, True

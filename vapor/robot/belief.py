@@ -29,15 +29,10 @@ _SETTLE_S, _SETTLED_S = 4.0, 2.0  # without images the belief follows odometry f
 
 @dataclass(frozen=True)
 class Anchor:
-    """The belief at the last localized image, or at a stated pose, from which odometry leads on.
+    """The belief at the last localized image, or at a stated pose (without a frame), from which odometry leads on.
 
-    Attributes:
-        time_ns: Stamp.
-        reading: Number of the reading, see `LiveReader.readings`.
-        estimate: The filter's estimate.
-        map_from_odom: By the best mode, one pose; None where the odometry at that time is unknown.
-        frame: The image; None for a stated pose.
-        began_s: Time of arrival, of `time.monotonic`.
+    `map_from_odom` is by the best mode; None where the odometry at `time_ns` is unknown. `reading` is that of
+    `LiveReader.readings`, `began_s` the time of arrival by `time.monotonic`.
     """
 
     time_ns: int
@@ -63,7 +58,7 @@ class LiveEstimate:
         map_from_base: Pose of the odometry's child frame at the time of the image, by the best mode, one pose.
         map_from_odom: Transform from the map to the odometry's frame, one pose; None unless converged.
         latency_ms: Milliseconds from the image's arrival to this estimate.
-        skipped: Number of images that were left out so far, by reason.
+        skipped: Number of images that were skipped so far, by reason.
     """
 
     frame: Frame
@@ -82,15 +77,8 @@ class LiveEstimate:
 class LiveBelief:
     """The belief about a robot that moves on while the network processes its images.
 
-    Args:
-        localizer: The filter.
-        model: Observes the images.
-        reader: Source of odometry.
-        fit: Errors of odometry by the model's calibration; None to use those that the odometry states.
-
-    Attributes:
-        anchor: None before the first image.
-        now: The latest published belief, later than the anchor where images are missing; None before the first.
+    `anchor` is None before the first image. `now` is the latest published belief, later than the anchor if images are
+    missing. Without a `fit` of the model's calibration, odometry errs as it states.
     """
 
     def __init__(
@@ -118,7 +106,6 @@ class LiveBelief:
         return posterior if self._model.verifies else posterior.without_places()
 
     def _is_new(self, motion: Odometry | None) -> bool:
-        """Whether to look for landmarks: the belief is unsure, or motion or a second passed since the last time."""
         if motion is not None:
             self._views, _ = self._views.predict(motion.previous_from_current)
         now_s = time.monotonic()
@@ -185,10 +172,7 @@ class LiveBelief:
     def predicted(self, anchor: Anchor, at_network: Job | None, *, by_odometry: bool) -> tuple[int, Estimate]:
         """The belief of now and its stamp, without changing the filter.
 
-        Args:
-            anchor: The last image.
-            at_network: An image at the network, after the anchor.
-            by_odometry: Whether odometry is current; else the motion since the anchor is unknown.
+        Without `by_odometry` the motion since the anchor is unknown. An image `at_network` is later than the anchor.
         """
         time_ns, motion = self.reader.odometry_ns, None
         if by_odometry and time_ns is not None and anchor.reading == self.reader.readings:

@@ -21,14 +21,7 @@ _APART, _ENOUGH_IMAGES = "images and odometry are by different clocks", 10
 
 
 class Health:
-    """Counts and latencies, and the times of the last messages.
-
-    Attributes:
-        reader: None until topics are found.
-        recorder: None where nothing is recorded.
-        localized: Number of localized images.
-        refused: Number of images that the network or the filter refused.
-    """
+    """Counts and latencies, and the times of the last messages; without a reader until topics are found."""
 
     def __init__(self) -> None:
         self.reader: LiveReader | None = None

@@ -41,15 +41,7 @@ class Observed:
 
 
 class Network:
-    """Observes one image after the other in a thread.
-
-    Args:
-        observe: Gives the posterior of an image.
-        put: Called in the thread with each result.
-
-    Attributes:
-        job: The image at the network; None while it is free.
-    """
+    """Observes one image after the other in a thread, and puts each result; `job` is None while it is free."""
 
     def __init__(self, observe: Callable[[Frame], PosePosterior], put: Callable[[Observed], None]) -> None:
         self._observe, self._put = observe, put

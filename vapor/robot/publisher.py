@@ -55,13 +55,8 @@ def diagnostics_message(
 ) -> Message:
     """diagnostic_msgs/DiagnosticArray: level OK if converged, WARN if ambiguous, ERROR if lost, STALE at first.
 
-    Args:
-        time_ns: Its stamp.
-        hardware: The name of the model.
-        estimate: The belief of now; None before the first.
-        silent: The missing input, in words; None where nothing is missing.
-        values: Further values by name.
-        floors: The building's, where there are several: the belief's floor, and its weight on each.
+    `silent` names the missing input; `values` are added. With `floors`, the belief's floor and its weight on each are
+    added, too.
     """
     if estimate is None:
         level, text, about = _STALE, silent or "no image was localized yet", {}
@@ -95,15 +90,10 @@ def diagnostics_message(
 def camera_of_initial_pose(
     message: SimpleNamespace, base_from_camera: Poses, prior_poses: Poses
 ) -> tuple[Poses, Float64[np.ndarray, "6 6"]]:
-    """Pose of the camera, one pose, and its covariance in its tangent.
+    """Pose of the camera, one pose, and its covariance in its tangent, from geometry_msgs/PoseWithCovarianceStamped.
 
     RViz's "2D Pose Estimate" gives x, y and the heading, and variances of zero for height, roll and pitch. Then the
-    height is that of the training images, and the robot is level.
-
-    Args:
-        message: Fields of geometry_msgs/PoseWithCovarianceStamped, of the base.
-        base_from_camera: Extrinsics, one pose.
-        prior_poses: Training images, see `ModelDescription`.
+    height is that of the training images (`prior_poses`), and the robot is level.
 
     Raises:
         VaporTrackError: an unusable pose or covariance.
@@ -131,19 +121,10 @@ def camera_of_initial_pose(
 
 
 class Publisher:
-    """Publishes estimates, poses, tf and diagnostics.
+    """Publishes estimates, poses, tf and diagnostics in a transport, and serves them to Foxglove.
 
-    Args:
-        transport: The system that they are published in.
-        foxglove: Serves them, too; None without a server.
-        config: Settings.
-        hardware: Subject of diagnostics.
-        floors: The building's, for diagnostics; None where there is one only.
-        now_ns: The clock of logged messages.
-        tell: Called once, where a message cannot be published.
-
-    Attributes:
-        last_sent: Messages of the last image.
+    `now_ns` is the clock of logged messages. `tell` is called once, where a message cannot be published. `last_sent`
+    has the messages of the last image.
     """
 
     def __init__(

@@ -20,11 +20,7 @@ _MOST_LATCHED = 100
 
 
 class FoxgloveServer:
-    """A WebSocket server for Foxglove; used in a `with` block.
-
-    Args:
-        host: Address to serve on.
-        port: Port to serve on; 0 for any free one.
+    """A WebSocket server for Foxglove; used in a `with` block. Port 0 takes any free one.
 
     Raises:
         VaporTrackError: foxglove-sdk is not installed, or the port is in use or cannot be opened.
@@ -101,9 +97,7 @@ _LEAVE_S = 3.0  # that a viewer gets at the end
 class WatchingViewer:
     """Shows estimates in a thread; a viewer slower than the camera skips images, and one that fails is given up.
 
-    Args:
-        opened: Opens the viewer; called here, so that its errors come at once.
-        tell: Called once, when the viewer fails.
+    `opened` is called here, so that its errors come at once; `tell` once, when the viewer fails.
     """
 
     def __init__(self, opened: Callable[[], Viewer], tell: Callable[[str], None]) -> None:

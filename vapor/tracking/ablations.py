@@ -19,13 +19,9 @@ from vapor.tracking.loop import Localizer
 
 @dataclass(frozen=True)
 class Ablation:
-    """Changes to the settings of a filter.
+    """Changes to the settings of a filter and to the error model.
 
-    Attributes:
-        meaning: The change in words.
-        localizer: Settings of the filter -> those of the ablation.
-        errors: Error model of images -> that of the ablation.
-        told_of_kidnap: Whether it restarts where the camera was carried to.
+    With `told_of_kidnap` the filter restarts where the camera was carried to.
     """
 
     meaning: str
@@ -34,13 +30,7 @@ class Ablation:
     told_of_kidnap: bool = False
 
     def start(self, config: LocalizerConfig, *, rng: np.random.Generator, kidnap_index: int | None = None) -> Localizer:
-        """The ablated filter.
-
-        Args:
-            config: Settings of the filter, already changed by `localizer`.
-            rng: Source of its random draws.
-            kidnap_index: First image after the camera was carried off; None without a kidnap.
-        """
+        """The ablated filter, of changed settings; `kidnap_index` is the first image after a kidnap."""
 
         def begin() -> ParticleLocalizer:
             return ParticleLocalizer(None, config, rng=rng)

@@ -40,8 +40,8 @@ class Passage:
     """The input of the methods for n images, and the truth.
 
     Attributes:
-        times_ns: Stamps, increasing, (n,).
-        odometry: Camera motion since the image before, (n,); None where unknown. The first is not used.
+        times_ns: Stamps, increasing.
+        odometry: Camera motion since the image before; None where unknown. The first is not used.
         truth: True poses, world_from_camera, (n,).
         posterior: Gives the posterior of an image, by its number.
     """
@@ -85,16 +85,8 @@ def posterior_of(samples: Poses, errors: ErrorModel, unfamiliarity: float) -> Po
 class Followed:
     """The results of filter and baselines on a passage of n images.
 
-    Attributes:
-        passage: Their input.
-        errors: Error model of its images.
-        config: Settings of the filter.
-        beliefs: Of the filter and the baselines, by name.
-        image_modes: Places of each image's posterior alone, (n,).
-        history: For the methods that see the whole passage at once.
-        particles: Median number of particles of the filter.
-        step_ms: Median milliseconds of a step of the filter.
-        kidnap_index: First image after the camera was carried off; None without a kidnap.
+    `image_modes` are the places of each image's posterior alone. The number of particles and the milliseconds of a step
+    are medians.
     """
 
     passage: Passage
@@ -131,16 +123,9 @@ def follow(
     kidnap_index: int | None = None,
     baselines: Collection[str] = BASELINES,
 ) -> Followed:
-    """Localize a passage by filter and baselines, each with the same errors and the same odometry.
+    """Localize a passage, whose first image has a place, by filter and baselines with the same errors and odometry.
 
-    Args:
-        passage: Its first image has a place.
-        errors: Error model of its images.
-        config: Settings of the filter; its slow errors and gaps are those of all methods.
-        rng: Source of all random draws.
-        ablation: Starts the filter; its changes of `errors` and `config` are already made, as they concern all methods.
-        kidnap_index: First image after the camera was carried off; None without a kidnap.
-        baselines: Names of those to run; a Gaussian sum takes as long as the filter.
+    The ablation starts the filter; its changes of `errors` and `config` are already made, as they concern all methods.
 
     Raises:
         VaporTrackError: unusable odometry or posteriors.

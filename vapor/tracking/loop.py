@@ -28,12 +28,7 @@ class Tracker(Protocol):
     """A baseline that goes from image to image."""
 
     def update(self, posterior: PosePosterior, odometry: Odometry | None, *, elapsed_s: float) -> tuple[Mode, ...]:
-        """Take one image.
-
-        Args:
-            posterior: The image's posterior.
-            odometry: Motion since the previous image, not used on the first one; None where unknown.
-            elapsed_s: Seconds since the previous image.
+        """Take one image; odometry is None where unknown, and not used on the first one.
 
         Returns:
             Hypotheses, at least one, the best one first.
@@ -126,12 +121,7 @@ class StepLoop:
 
 @dataclass(frozen=True)
 class Belief:
-    """The belief of a method after each of n images.
-
-    Attributes:
-        modes: Hypotheses per image, the reported one first.
-        status: Per image.
-    """
+    """The belief of a method after each of n images, the reported hypothesis first."""
 
     modes: Sequence[tuple[Mode, ...]]
     status: Sequence[Status]
@@ -154,15 +144,7 @@ MOST_MODES = 16
 
 @dataclass(frozen=True)
 class History:
-    """The steps of a run of n images, without posterior samples and particles.
-
-    Attributes:
-        evidence: See `Step`, (n,).
-        odometry: Motion since the image before, (n,); None where unknown.
-        normalized_distances: See `Estimate`, (n,).
-        filtered: Best modes of the filter, world_from_camera, (n,).
-        converged: Whether the filter had converged, (n,).
-    """
+    """The steps of n images, without posterior samples and particles; `filtered` are the filter's best modes."""
 
     evidence: list[tuple[Mode, ...]] = field(default_factory=list)
     odometry: list[Odometry | None] = field(default_factory=list)

@@ -23,12 +23,7 @@ from vapor.tracking.loop import History, Tracker
 
 
 class KalmanTracker:
-    """One hypothesis, corrected by the nearest place of each image.
-
-    Args:
-        config: Settings of the filter; only the slow errors of odometry and the gaps are used.
-        rng: Not used.
-    """
+    """One hypothesis, corrected by the nearest place of each image, with the settings' slow errors and gaps."""
 
     def __init__(self, config: LocalizerConfig, rng: np.random.Generator) -> None:
         from filtering.kalman import KalmanConfig, KalmanLocalizer  # loads FilterPy, which takes a while
