@@ -31,6 +31,10 @@ from vapor.threads import limited_threads
 from vapor.training_data.passes import odometry_segments, pass_numbers, some_runs
 from vapor.training_data.training_set import TrainingSet
 
+_NARROWEST, _WIDEST = (5e-4, 3e-3), (0.1, 1.0)  # kernels: extents, radians
+_BLOCK = 50  # images at a time: 50 × 2000 float32 fit the cache
+NUM_SAMPLES = 1000  # an image, as in use: fewer want wider kernels
+
 
 def fit_first_odometry(data: Mapping[str, TrainingSet | None]) -> tuple[OdometryFit | None, str]:
     """How wrong odometry is on the first data that have enough of it, and the name of these.
@@ -50,10 +54,6 @@ def fit_first_odometry(data: Mapping[str, TrainingSet | None]) -> tuple[Odometry
         except SequenceError:  # the increments take no time
             continue
     return None, "none"
-
-
-_NARROWEST, _WIDEST = (5e-4, 3e-3), (0.1, 1.0)  # kernels: extents, radians
-_BLOCK = 50  # images at a time: 50 × 2000 float32 fit the cache
 
 
 def fit_widths(
@@ -93,8 +93,6 @@ def fit_widths(
     values: dict[str, float | Six] = dict(zip(names, (width_m, width_rad), strict=True))
     return (width_m, width_rad), Change("kernel widths", formerly, values, score((width_m, width_rad)) - score(before))
 
-
-NUM_SAMPLES = 1000  # an image, as in use: fewer want wider kernels
 
 Advance = Callable[[int, int], None]
 

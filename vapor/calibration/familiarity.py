@@ -1,4 +1,4 @@
-"""What the training images of a network look like to it, learned from them."""
+"""Familiarity of images to a network, learned from its training images."""
 
 from __future__ import annotations
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +15,22 @@ from vapor.calibration.lasting_errors import Travel, effective_images, lasting_e
 from vapor.calibration.places import Observations, Places, as_six, log_densities, log_sums
 from vapor.checkpoints.scene_scale import RADIUS_RAD, flat_log_density, scene_extent
 
+_STARTS = (0.003, 0.02, 0.1, 0.3)  # of the floor, in extents
+_TRIES, _STEPS = 12, 80  # of the optimiser, from every start and from the best
+_LOG_SPREAD, _LOG_FLOOR, _LOG_TAIL, _LOGIT_OUTLIERS = (-5.0, 4.0), (-9.0, 0.0), (0.7, 4.0), (-5.0, 0.0)
+_LIMITS = (_LOG_SPREAD, *[_LOG_FLOOR] * 6, _LOGIT_OUTLIERS, _LOG_TAIL)
+_PULL, _PULLED_TO = 1e-4, np.log(0.02)  # of the floor's logarithms, decisive without data
+_POWERS = np.linspace(0.0, 1.5, 13)  # by which errors grow with the score
+LEAST_IMAGES = 20
+"""Images that are needed for a fit."""
+LEAST_OUTLIERS = 0.05
+"""Least probability of outliers: neighbouring images err alike, so none in 500 does not exclude them."""
+_RADII = np.geomspace(0.01, 0.32, 6)  # of a place, in extents of the scene
+_AS_GOOD = 0.1  # nats an image, by which the likelihood may be below the highest for a wider place to be taken
+_ALIKE = 10.0  # images: the weight of the assumption that all axes err alike
+_UNSEEN = 2.0  # over the number of images: fraction of the variance that may be an error that lasts through all
+_UNSURE = 10.0  # over the number of images: by how much the variances of a fit are too small
+
 
 @dataclass(frozen=True)
 class Change:
@@ -25,21 +40,6 @@ class Change:
     before: dict[str, float | Six]
     after: dict[str, float | Six]
     gain: float | None = None
-
-
-def change_of(
-    what: str, names: Sequence[str], before: ErrorModel, after: ErrorModel, gain: float | None = None
-) -> Change:
-    """The change of these fields of an error model."""
-    values, formerly = ({name: getattr(errors, name) for name in names} for errors in (after, before))
-    return Change(what, formerly, values, gain)
-
-
-_STARTS = (0.003, 0.02, 0.1, 0.3)  # of the floor, in extents
-_TRIES, _STEPS = 12, 80  # of the optimiser, from every start and from the best
-_LOG_SPREAD, _LOG_FLOOR, _LOG_TAIL, _LOGIT_OUTLIERS = (-5.0, 4.0), (-9.0, 0.0), (0.7, 4.0), (-5.0, 0.0)
-_LIMITS = (_LOG_SPREAD, *[_LOG_FLOOR] * 6, _LOGIT_OUTLIERS, _LOG_TAIL)
-_PULL, _PULLED_TO = 1e-4, np.log(0.02)  # of the floor's logarithms, which decides where the data say nothing
 
 
 @dataclass(frozen=True)
@@ -88,6 +88,7 @@ def most_likely_errors(places: Places, extent: float, flat: float, also: Tensor 
     low, high = (torch.tensor(limits, dtype=torch.float64) for limits in zip(*_LIMITS, strict=True))
 
     def loss(parameters: Tensor) -> tuple[float, Tensor]:
+        """Negative mean log likelihood, with the pull of the floor, and its gradient."""
         spread, floor, outliers, tail = _unpack(parameters)
         terms, slopes = log_densities(residual, covariance, fraction, spread, floor, tail)
         log_places = log_sums(terms, image)
@@ -130,9 +131,6 @@ def most_likely_errors(places: Places, extent: float, flat: float, also: Tensor 
     return FoundErrors(-better, refined) if better < value else FoundErrors(-value, parameters)
 
 
-_POWERS = np.linspace(0.0, 1.5, 13)  # by which errors grow with the score
-
-
 def growing_errors(
     errors: ErrorModel,
     places: Places,
@@ -157,17 +155,6 @@ def growing_errors(
 def ordinary_score(score: Float64[np.ndarray, " n"]) -> float:
     """The median score, within the range that counts."""
     return float(np.clip(np.median(score), LEAST_SCORE, FOREIGN))
-
-
-LEAST_IMAGES = 20
-"""Images that are needed for a fit."""
-LEAST_OUTLIERS = 0.05
-"""Least probability of outliers: as neighbouring images err alike, none in 500 does not say that there are none."""
-_RADII = np.geomspace(0.01, 0.32, 6)  # of a place, in extents of the scene
-_AS_GOOD = 0.1  # nats an image, by which the likelihood may be below the highest for a wider place to be taken
-_ALIKE = 10.0  # images: the weight of the assumption that all axes err alike
-_UNSEEN = 2.0  # over the number of images: fraction of the variance that may be an error that lasts through all
-_UNSURE = 10.0  # over the number of images: by how much the variances of a fit are too small
 
 
 @dataclass(frozen=True)
@@ -243,17 +230,17 @@ def fit_errors(
     if held_out.score is not None:
         formerly = formerly.grown(before, held_out.score)
     gain = float((places.log_density(errors) - formerly.log_density(before)).mean())
-    names = ("radius_m", "spread", "floor", "tail", "outlier_probability", "unfamiliar_power")
-    changes = (
-        change_of("errors of an image", names, before, errors, gain),
-        change_of(
-            "how long they last", ("lasting_fraction", "length_m", "length_rad", "mistaken_lengths"), before, errors
-        ),
-    )
+    fits = {
+        "errors of an image": ("radius_m", "spread", "floor", "tail", "outlier_probability", "unfamiliar_power"),
+        "how long they last": ("lasting_fraction", "length_m", "length_rad", "mistaken_lengths"),
+    }
+    values = [[{name: getattr(model, name) for name in names} for model in (before, errors)] for names in fits.values()]
+    changes = tuple(Change(what, *both, each) for what, both, each in zip(fits, values, (gain, None), strict=True))
     return ErrorFit(errors, changes, places.coverage(errors), effective)
 
 
 def _widest_places(held_out: Observations, extent: float, flat: float) -> tuple[float, Places, FoundErrors]:
+    """The widest reach of places whose likelihood is nearly the highest, these places, and their errors."""
     tried = []
     parameters = None
     for radius in _RADII * extent:

@@ -11,8 +11,19 @@ from filtering.se3 import Poses
 from vapor.checkpoints.scene_scale import LENGTH_RAD
 
 LEAST_PAIRS = 50
-"""Pairs of images, below which nothing is said of how long anything lasts."""
+"""Least number of pairs of images for a fit of a correlation."""
 _MOST_PAIRS = 10**6
+_LENGTHS = np.geomspace(0.003, 0.15, 10)  # over which errors last, in extents
+_LENGTHS_RAD = (0.2, 0.4, 0.8, 1.6)
+_CLEARLY = 1.01  # by this factor another angle must make the squares smaller to be taken for the ordinary one
+_FRACTIONS = (0.5, 0.7)  # of the variance, that last
+_LEAST_IN_BIN, _LEAST_EFFECTIVE = 10, 30
+_BINS = np.append(0.0, np.geomspace(0.05, 1e4, 72))  # of pairs of images, by how many lengths they are apart
+_WINDOW, _LEAST_CORRELATION = 4.0, 0.1
+_NO_MISTAKE = 0.02  # of the images, that find the true place less likely than not: fewer count as none
+_MISTAKEN = np.geomspace(0.125, 32.0, 17)  # lengths over which mistakes fade
+_FARTHEST_LENGTHS, _LEAST_VOTE, _LEAST_MISTAKEN, _MOST_MISTAKEN = 100.0, 0.25, 4.0, 40.0
+_ANOTHER_HOUR = 3.0  # times as far beyond one length mistakes reach where the light is another than on held-out passes
 
 
 @dataclass(frozen=True)
@@ -49,15 +60,6 @@ def pairs_of_images(
         firsts.append(first)
         seconds.append(first + lag)
     return np.concatenate(firsts), np.concatenate(seconds)
-
-
-_LENGTHS = np.geomspace(0.003, 0.15, 10)  # over which errors last, in extents
-_LENGTHS_RAD = (0.2, 0.4, 0.8, 1.6)
-_CLEARLY = 1.01  # by this factor another angle must make the squares smaller to be taken for the ordinary one
-_FRACTIONS = (0.5, 0.7)  # of the variance, that last
-_LEAST_IN_BIN, _LEAST_EFFECTIVE = 10, 30
-_BINS = np.append(0.0, np.geomspace(0.05, 1e4, 72))  # of pairs of images, by how many lengths they are apart
-_WINDOW, _LEAST_CORRELATION = 4.0, 0.1
 
 
 @dataclass(frozen=True)
@@ -135,6 +137,10 @@ def lasting_errors(
 
 
 def _correlation_length(lengths: Float64[np.ndarray, " k"], products: Float64[np.ndarray, " k"]) -> float:
+    """Integral of the correlation over the distance between images, from products of pairs.
+
+    It ends at a few times the length over which the correlation fades (Sokal's window), or with the last pairs.
+    """
     bins = np.searchsorted(_BINS, lengths, side="right") - 1
     count = np.bincount(bins, minlength=len(_BINS))
     mean = np.bincount(bins, products, minlength=len(_BINS)) / np.maximum(count, 1)
@@ -155,12 +161,6 @@ def effective_images(travel: Travel, lasting: LastingErrors) -> float:
     """Number of independent images of as much information: one a pass and one for every two lengths, at most all."""
     steps = lasting.between(travel, slice(None, -1), slice(1, None))
     return 1.0 + float(np.where(np.diff(travel.pass_number) == 0, np.minimum(steps / 2.0, 1.0), 1.0).sum())
-
-
-_NO_MISTAKE = 0.02  # of the images, that find the true place less likely than not: fewer count as none
-_MISTAKEN = np.geomspace(0.125, 32.0, 17)  # lengths over which mistakes fade
-_FARTHEST_LENGTHS, _LEAST_VOTE, _LEAST_MISTAKEN, _MOST_MISTAKEN = 100.0, 0.25, 4.0, 40.0
-_ANOTHER_HOUR = 3.0  # times as far beyond one length mistakes reach where the light is another than on held-out passes
 
 
 def mistaken_lengths(

@@ -17,6 +17,10 @@ from filtering.moments import group_moments
 from filtering.posterior import find_places
 from filtering.se3 import Poses
 
+REGIONS = (0.5, 0.9, 0.95)
+"""Probabilities of the regions whose coverage is reported."""
+_NEAREST = 8  # places of an image that are fitted: those nearest to the true pose
+
 
 @dataclass(frozen=True)
 class Observations:
@@ -61,11 +65,6 @@ def log_sums(terms: Tensor, image: Tensor) -> Tensor:
     count = int(image[-1]) + 1
     top = torch.full((count,), -torch.inf, dtype=terms.dtype).scatter_reduce(0, image, terms.detach(), "amax")
     return top + torch.zeros(count, dtype=terms.dtype).scatter_add(0, image, (terms - top[image]).exp()).log()
-
-
-REGIONS = (0.5, 0.9, 0.95)
-"""Probabilities of the regions whose coverage is reported."""
-_NEAREST = 8  # places of an image that are fitted: those nearest to the true pose
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""What it says of a place that landmarks verify it, found on held-out images."""
+"""Weights of places that landmarks verify, fitted on held-out images."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How poses err that landmarks verify: training images are localized without those taken near them in time."""
+"""Errors of verified poses: training images are localized without those taken near them in time."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ from vapor.landmarks.localize import LandmarkLocalizer, VerifiedPose
 from vapor.landmarks.tracks import view_change
 
 _FOLDS = 5
-_STRETCHES = 16.0, 8.0, 4.0, 2.0, 1.0  # how much views change over what is hidden at a time: 1 is half a depth, or 25°
+_STRETCHES = 16.0, 8.0, 4.0, 2.0, 1.0  # change of the view over a hidden part: 1 is half a depth, or 25°
 _END = 0.25  # of a stretch, at either end: only images in between are localized
 _ENOUGH = 0.5  # of the images verified where they are: else less is hidden
 _IMAGES, _TRIED = 200, 40  # that are localized, and by which it is found how much can be hidden
 _DEPTH_RAD = 2.0 * np.deg2rad(25.0)  # a turn that changes the view as much as a depth moved
 _LENGTHS, _USUAL_LENGTH = np.geomspace(0.05, 3.0, 13).tolist(), 0.4  # over which errors last, in depths
-_LEAST_LASTING, _MOST_LASTING = 0.5, 0.95  # of the variance: what is new with each image is little of it
-_NONE_RIGHT = 0.05  # of the images, which held-out ones then tell
+_LEAST_LASTING, _MOST_LASTING = 0.5, 0.95  # of the variance
+_NONE_RIGHT = 0.05  # of the images, before held-out ones are seen
 _HELD = 0.9  # of the images at least have their true pose in the region of this name
-_RIGHT = 0.5, 0.35  # depths and radians: what is further off is another place
+_RIGHT = 0.5, 0.35  # depths and radians, beyond which a pose is of another place
 
 Advance = Callable[[int, int], None]
 QueryFeatures = Callable[[int], Features]
@@ -52,7 +52,7 @@ class LeftOut:
         found: Verified poses of each.
         truth: True poses, (n,).
         view_distance: Distance from the most similar view of the map, see `MappedViews.distances`.
-        depth_m: Median distance of what is seen, metres.
+        depth_m: Median distance of the scene, metres.
     """
 
     image: Int64[np.ndarray, " n"]
@@ -168,6 +168,7 @@ def _without(
 def _stretches(
     poses: Poses, sequence: Int64[np.ndarray, " n"], depth_m: float, length: float
 ) -> tuple[Int64[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
+    """The stretch of each image, over which the view changes by `length`, and whether the image is in its middle."""
     change = np.cumsum(view_change(poses, depth_m))
     begins = np.flatnonzero(np.diff(sequence, prepend=sequence[:1] - 1))
     first = begins[np.searchsorted(begins, np.arange(len(poses)), side="right") - 1]
@@ -183,7 +184,7 @@ def _stretches(
 class VerifiedErrors:
     """Errors of verified poses in the camera's frame, of the images of the fit.
 
-    `elsewhere` is that of `LeftOut`, medians are of poses of the right place, `coverage` of the 50, 90 and 95 % regions.
+    `elsewhere` is that of `LeftOut`, medians are of poses of the right place, `coverage` that of three regions.
     """
 
     errors: ErrorModel
@@ -220,7 +221,7 @@ def fit_verified_errors(
     lasting = _lasting(residuals, usable, travel, depth_m)
     effective = effective_images(travel, lasting)
     errors = cautious(errors, effective)
-    # What the likeliest errors take for outliers, up to half of the images, is no other place: all of these are right.
+    # Up to half of the images may look like outliers of the likeliest errors, but all of these places are right.
     errors = errors.inflated(places.lacking(errors, _HELD))
     errors = replace(
         errors,

@@ -21,7 +21,7 @@ _ROUNDS = 8
 _PIXEL = 1.0  # scale of the robust cost
 _DAMPING = 1e-4
 _INTRINSICS_STD = np.array([1.0, 0.03, 0.03, 0.3, 0.5])
-"""What is known of a camera before: log focal length, principal point in image widths, k₁, k₂."""
+"""Prior standard deviations of a camera: log focal length, principal point in image widths, k₁, k₂."""
 _FIXED = 1e9  # information, per px²
 _DENSE = 3000  # unknowns, up to which a dense solution is faster
 
@@ -86,6 +86,11 @@ def _with_intrinsics(first: ViewCamera, values: Float64[np.ndarray, "5"]) -> Vie
 
 @dataclass(frozen=True)
 class _System:
+    """Normal equations of one Gauss-Newton step, with Cauchy weights of the sightings.
+
+    `cameras` is the Jacobian by poses (6 each) and intrinsics (5), `blocks` the information of each point alone.
+    """
+
     cameras: sparse.csr_matrix
     of_points: sparse.csr_matrix
     residual: Float64[np.ndarray, " r"]
@@ -127,6 +132,7 @@ class _System:
     def solved(
         self, prior: Float64[np.ndarray, " c"], towards: Float64[np.ndarray, " c"]
     ) -> tuple[Float64[np.ndarray, " c"], Float64[np.ndarray, "p 3"], Float64[np.ndarray, "5 5"]]:
+        """Steps of cameras and points, and information of the intrinsics, given information and gradient of a prior."""
         count = len(self.blocks)
         scale = np.trace(self.blocks, axis1=1, axis2=2)[:, None, None] + 1e-12
         inverse = sparse.bsr_matrix(

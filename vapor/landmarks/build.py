@@ -64,7 +64,7 @@ class Material:
         features: Of each, in the basis.
         basis: Basis of the descriptors.
         matches: Matching features of pairs of key images, by their place in `key`.
-        depth_m: Median distance of what is seen, metres.
+        depth_m: Median distance of the scene, metres.
     """
 
     stated: Camera | None
@@ -74,11 +74,6 @@ class Material:
     basis: Basis
     matches: Matches
     depth_m: float
-
-    @cached_property
-    def descriptors(self) -> Float32[np.ndarray, "n d"]:
-        """Of all features, image by image."""
-        return np.concatenate([each.descriptors for each in self.features])
 
 
 @dataclass(frozen=True)
@@ -105,19 +100,15 @@ class BuiltMap:
         touched[self.sightings.point[hidden[self.sightings.view]]] = True
         left, kept = self.sightings.kept(~hidden[self.sightings.view])
         points = self.points[kept].copy()
-        anew = np.flatnonzero(touched[kept])
-        if len(anew):
-            number = np.full(len(points), -1)
-            number[anew] = np.arange(len(anew))
-            mask = number[left.point] >= 0
-            of = Sightings(left.view[mask], number[left.point[mask]], left.feature[mask], left.pixels[mask])
+        of, again = left.kept(touched[kept][left.point], least=1)
+        if len(again):
             poses = self.material.poses.inverse()
-            points[anew] = triangulated(poses, self.camera.rays(of.pixels), of)
-            fine = (parallax(poses, points[anew], of) >= _LEAST_PARALLAX) & np.isfinite(points[anew]).all(axis=1)
+            points[again] = triangulated(poses, self.camera.rays(of.pixels), of)
             usable = np.ones(len(points), bool)
-            usable[anew] = fine
-            left, again = left.kept(usable[left.point])
-            points = points[again]
+            usable[again] = parallax(poses, points[again], of) >= _LEAST_PARALLAX
+            usable[again] &= np.isfinite(points[again]).all(axis=1)
+            left, kept = left.kept(usable[left.point])
+            points = points[kept]
         return self._map(~hidden, points, left)
 
     def _map(
@@ -130,12 +121,15 @@ class BuiltMap:
         begins = np.searchsorted(view, np.arange(used.sum() + 1))
         words, summary_axes, summaries = self._words
         poses = material.poses[np.flatnonzero(used)]
+        seen_as = np.concatenate([each.descriptors for each in material.features])[sightings.feature]
+        sums = [np.bincount(sightings.point, column, minlength=len(points)) for column in seen_as.T]
+        descriptors = unit_vectors(np.stack(sums, axis=1).astype(np.float32))
         return LandmarkMap(
             material.stated,
             self.camera,
             material.depth_m,
             points.astype(np.float32),
-            stored(_mean_descriptors(material.descriptors, sightings, len(points))),
+            stored(descriptors),
             poses.rotation.astype(np.float32),
             poses.translation.astype(np.float32),
             begins.astype(np.int32),
@@ -316,12 +310,6 @@ def _key_images(poses: Poses, depth_m: float) -> Int64[np.ndarray, " k"]:
 def _sampled(features: Sequence[Features], rng: np.random.Generator) -> Float32[np.ndarray, "n d"]:
     some = max(1, _SAMPLED // len(features))
     return np.concatenate([each.descriptors[rng.permutation(len(each))[:some]] for each in features])
-
-
-def _mean_descriptors(everything: Float32[np.ndarray, "n d"], of: Sightings, count: int) -> Float32[np.ndarray, "p d"]:
-    found = everything[of.feature]
-    sums = np.stack([np.bincount(of.point, column, minlength=count) for column in found.T], axis=1)
-    return unit_vectors(sums.astype(np.float32))
 
 
 def _within_memory(of: Sightings, count: int) -> Bool[np.ndarray, " p"]:

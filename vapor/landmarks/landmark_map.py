@@ -14,6 +14,8 @@ from sequences.frame import Camera
 from vapor.landmarks.features import Basis, Features, unit_vectors
 
 _ROUNDS = 8  # of the fixed point that takes distortion away
+LEAST_INLIERS = 12
+"""Landmarks that a pose must be seen by to be one."""
 
 
 @dataclass(frozen=True)
@@ -60,10 +62,6 @@ class ViewCamera:
         return pixels if self.k1 == self.k2 == 0.0 else self.rays(pixels) * self.focal + self.centre
 
 
-LEAST_INLIERS = 12
-"""Landmarks that a pose must be seen by to be one."""
-
-
 @dataclass(frozen=True)
 class LandmarkMap:
     """p points that n key images show.
@@ -72,7 +70,7 @@ class LandmarkMap:
         stated: Stated camera of the images, at the size of the features; None without one.
         camera: The fitted camera at that size, or the stated one where that fits as well. It is used for images whose
             stated camera is `stated`.
-        depth_m: Median distance of what is seen, metres.
+        depth_m: Median distance of the scene, metres.
         points: Metres, (p, 3).
         descriptors: In a byte a number (`features.stored`), (p, d).
         rotation: Of world_from_camera of the key images, (n, 3, 3).

@@ -28,6 +28,22 @@ ROBUST_PX = 1.0
 _LEAST_SUPPORT = 8  # matches that must agree with a pose
 _TRIES = {"max_reproj_error": INLIER_PX, "max_iterations": 1000, "min_iterations": 50, "seed": 0}
 _LOSS = {"loss_type": "CAUCHY", "loss_scale": ROBUST_PX}
+_RATIO = 0.9  # of the distances of a feature's nearest and second nearest descriptor of the map, in a match
+_COSINE = 0.65  # of the descriptors of a match that lies where it must be
+_QUERY_PX, _FEATURES = 230, 300
+_ALIKE = 16  # key images that look most like an image
+_NEAR = 6  # key images nearest to a pose that is proposed
+_SHARED = 8  # points that key images of one place share
+_KNOWN = 0.2  # fraction of a key image's points near a verified pose, above which it is skipped
+_MOST_PLACES = 8  # that are looked at
+_MOST_POINTS = 1000  # of a place, that are matched
+_LEAST_MATCHES = 8
+_GUIDED_PX = 5.0
+_GUIDED_FROM = 20  # key images near a pose, whose points are looked for
+_DAMPING, _MOST_CONDITION = 1e-9, 1e12
+_ROUNDS = 6
+_LOOKS_ALONG = 0.7  # cosine between the axes of two cameras that may show the same
+_APART = 0.25, 0.2  # depths and radians: poses within are one
 
 
 def lo_ransac(pixels: Float64[np.ndarray, "n 2"], points: Float64[np.ndarray, "n 3"], camera: Camera) -> Poses | None:
@@ -38,28 +54,10 @@ def lo_ransac(pixels: Float64[np.ndarray, "n 2"], points: Float64[np.ndarray, "n
         "height": camera.height,
         "params": [camera.fx, camera.fy, camera.cx, camera.cy],
     }
-    pose, said = poselib.estimate_absolute_pose(pixels, points, pinhole, _TRIES, _LOSS)
-    if said["num_inliers"] < _LEAST_SUPPORT:
+    pose, report = poselib.estimate_absolute_pose(pixels, points, pinhole, _TRIES, _LOSS)
+    if report["num_inliers"] < _LEAST_SUPPORT:
         return None
     return Poses(np.asarray(pose.R, np.float64), np.asarray(pose.t, np.float64)).orthonormal()
-
-
-_RATIO = 0.9  # of the distances of a feature's nearest and second nearest descriptor of the map, in a match
-_COSINE = 0.65  # of the descriptors of a match that lies where it must be
-_QUERY_PX, _FEATURES = 230, 300
-_ALIKE = 16  # key images that look most like an image
-_NEAR = 6  # key images nearest to a pose that is proposed
-_SHARED = 8  # points that key images of one place share
-_KNOWN = 0.2  # of the points of a key image: what shows more of what is seen from a verified pose is not looked at
-_MOST_PLACES = 8  # that are looked at
-_MOST_POINTS = 1000  # of a place, that are matched
-_LEAST_MATCHES = 8
-_GUIDED_PX = 5.0
-_GUIDED_FROM = 20  # key images near a pose, whose points are looked for
-_DAMPING, _MOST_CONDITION = 1e-9, 1e12
-_ROUNDS = 6
-_LOOKS_ALONG = 0.7  # cosine between the axes of two cameras that may show the same
-_APART = 0.25, 0.2  # depths and radians: poses within are one
 
 
 @dataclass(frozen=True)
@@ -232,7 +230,7 @@ class LandmarkLocalizer:
                 step = -np.linalg.solve(
                     information + _DAMPING * np.diag(information.diagonal()), weighted.T @ residual.ravel()
                 )
-            except np.linalg.LinAlgError:  # points that lie almost in one place tell no pose
+            except np.linalg.LinAlgError:  # of points that lie almost in one place
                 return None
             if not np.abs(step[:3]).max() < m.depth_m or not np.abs(step[3:]).max() < 1.0:
                 return None

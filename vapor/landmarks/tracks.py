@@ -31,6 +31,7 @@ _RANKS = 1, 2, 4, 8, 16, 32  # of their neighbours
 _LEAST_PARALLAX = np.deg2rad(2.0)
 _FARTHEST = 20.0  # depths: nothing that is further away is a landmark
 _CHUNK = 256
+_NEAR_PX = 1.0  # a feature so near to where a point is seen shows it
 
 
 def view_change(poses: Poses, depth_m: float) -> Float64[np.ndarray, " n"]:
@@ -173,9 +174,6 @@ def find_sightings(
     pixels = np.concatenate([np.empty((0, 2)), *(each.pixels for each in features)])[feature]
     found = Sightings(view, point, feature, pixels)
     return found.kept(np.ones(len(found), bool))[0], np.concatenate(errors)
-
-
-_NEAR_PX = 1.0  # a feature so near to where a point is seen shows it
 
 
 def at_given_points(

@@ -72,7 +72,7 @@ class Verification:
     def scores(
         self, inliers: Float64[np.ndarray, " j"], weights: Float64[np.ndarray, " j"]
     ) -> Float64[np.ndarray, " j"]:
-        """Scores of verified places of these weights by the network, to compare with the weights of others."""
+        """Scores of verified places of these network weights, beside the weights of other places."""
         return self.gain * (inliers / LEAST_INLIERS) ** self.power * (weights + self.unproposed)
 
 
@@ -105,8 +105,8 @@ def verified(
 ) -> PosePosterior:
     """The posterior with the verified places; as it is where there are none.
 
-    An image that verifies a place is of this map, however unlike the training images it is, and so not foreign. `mapped`
-    states where landmarks can verify places; None for everywhere.
+    An image that verifies a place is of this map, however unlike the training images it is, and so not foreign.
+    `mapped` states where landmarks can verify places; None for everywhere.
     """
     of_verified = posterior.errors.verified
     if not found or of_verified is None:
@@ -156,6 +156,7 @@ class LandmarkVerifier:
     def _view(
         self, image: UInt8[np.ndarray, "h w 3"], camera: Camera | None
     ) -> tuple[UInt8[np.ndarray, "h2 w2 3"], bool]:
+        """The image, resampled if of another camera than the map's, and whether the lens distorts it."""
         stated = self.landmarks.map.stated
         if camera is None or (stated is not None and same_view(camera, stated)):
             return image, True

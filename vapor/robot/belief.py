@@ -106,6 +106,7 @@ class LiveBelief:
         return posterior if self._model.verifies else posterior.without_places()
 
     def _is_new(self, motion: Odometry | None) -> bool:
+        """Whether to look for landmarks: the belief is unsure, or motion or a second passed since the last time."""
         if motion is not None:
             self._views, _ = self._views.predict(motion.previous_from_current)
         now_s = time.monotonic()

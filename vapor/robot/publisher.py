@@ -13,7 +13,7 @@ from filtering.errors import VaporTrackError
 from filtering.estimate import Estimate, Status
 from filtering.floors import Floors
 from filtering.se3 import Poses
-from sequences.live.transport import Publish, Transport
+from sequences.live.transport import Transport
 from sequences.recordings.estimate_messages import PUBLISHED_PARTICLES, Message, estimate_messages, pose_with_covariance
 from sequences.recordings.mcap_writer import ros_header, ros_poses, ros_transform
 from sequences.recordings.message_definitions import encoder
@@ -138,17 +138,13 @@ class Publisher:
         now_ns: Callable[[], int],
         tell: Callable[[str], None],
     ) -> None:
-        self._transport, self._foxglove, self._config, self._now_ns = transport, foxglove, config, now_ns
+        self._foxglove, self._config, self._now_ns = foxglove, config, now_ns
         self._tell, self._failed = tell, False
-        self._publish: dict[str, Publish] = {}
         self._hardware, self._floors = hardware, floors
         self.last_sent: list[RawMessage] = []
         self._kept_map_from_odom: Poses | None = None
         self._sent_anchor: Anchor | None = None  # of the last pose of the base
         self._sent_ns = self._sent_reading = self._tf_ns = 0  # of its odometry, and of its transform
-
-    def advertise(self) -> None:
-        """Advertise all topics."""
         topics = {
             each.topic: each.type for each in estimate_messages(0, [], Poses.identity(0), under=self._config.under)
         }
@@ -157,7 +153,7 @@ class Publisher:
         topics["/diagnostics"] = "diagnostic_msgs/DiagnosticArray"
         if self._config.tf:
             topics["/tf"] = "tf2_msgs/TFMessage"
-        self._publish = {topic: self._transport.advertise(topic, kind) for topic, kind in topics.items()}
+        self._publish = {topic: transport.advertise(topic, kind) for topic, kind in topics.items()}
 
     def forget(self) -> None:
         """Discard the last transform."""

@@ -164,7 +164,7 @@ class LiveSession:
                 self._tell(f"Foxglove: ws://{host}:{server.port}, layout {LAYOUT}")
             self._viewer: Viewer = NullViewer()
             if config.view or config.view_at is not None:
-                started = time.strftime("%Y-%m-%d %H:%M:%S")  # tells apart two sessions in one viewer
+                started = time.strftime("%Y-%m-%d %H:%M:%S")  # distinguishes two sessions in one viewer
                 place = Place.of_model(self._model.observation.description)
                 title = f"{self._model.name} {started}"
                 opened = partial(
@@ -180,7 +180,6 @@ class LiveSession:
                 now_ns=self._now_ns,
                 tell=self._tell,
             )
-            self._publisher.advertise()
             for topic, (message_type, _) in self._controls.items():
                 offer = Offer(topic, message_type, reliable=False, latched=False)  # hears both kinds of publishers
                 self._transport.subscribe(offer, self._events.put)

@@ -17,6 +17,7 @@ from sequences.recordings.source import TF_STATIC, RawMessage
 from vapor.reporting.viewer import Viewer
 
 _MOST_LATCHED = 100
+_LEAVE_S = 3.0  # that a viewer gets at the end
 
 
 class FoxgloveServer:
@@ -89,9 +90,6 @@ class FoxgloveServer:
             name=schema_name(raw.type), encoding="ros2msg", data=schema_text(raw.type).encode()
         )
         return self._foxglove.Channel(raw.topic, schema=schema, message_encoding=raw.encoding, context=self._context)
-
-
-_LEAVE_S = 3.0  # that a viewer gets at the end
 
 
 class WatchingViewer:

@@ -52,8 +52,8 @@ class _ToldOfKidnap:
         return self._localizer.update(posterior, odometry, elapsed_s=elapsed_s)
 
 
-def _each_image_anew(errors: ErrorModel) -> ErrorModel:
-    verified = None if errors.verified is None else _each_image_anew(errors.verified)
+def _independent(errors: ErrorModel) -> ErrorModel:
+    verified = None if errors.verified is None else _independent(errors.verified)
     new = {"lasting_fraction": 0.0, "length_m": 1e-6 * errors.length_m, "length_rad": 1e-6}
     return replace(errors, **new, verified=verified)
 
@@ -62,14 +62,14 @@ def _gaussian(errors: ErrorModel) -> ErrorModel:
     return replace(errors, tail=1e6, verified=None if errors.verified is None else _gaussian(errors.verified))
 
 
-# To add one: a name, what is different, and a function of the settings.
+# To add one: a name, the difference, and a function of the settings.
 ABLATIONS: Mapping[str, Ablation] = MappingProxyType(
     {
         "full": Ablation("the filter as it is"),
-        "no-lasting-errors": Ablation("every image errs anew, and its view is new", errors=_each_image_anew),
+        "no-lasting-errors": Ablation("every image errs independently, and its view is new", errors=_independent),
         "no-tails": Ablation("Gaussian errors", errors=_gaussian),
         "no-adaptation": Ablation(
-            "images err as their model says, whatever odometry shows",
+            "images err as modelled, whatever odometry shows",
             localizer=lambda config: replace(config, adapt_errors=False),
         ),
         "trusting-shares": Ablation(
@@ -88,7 +88,7 @@ ABLATIONS: Mapping[str, Ablation] = MappingProxyType(
             "hypotheses are added where the images cast doubt, as in AMCL",
             localizer=lambda config: replace(config, births="augmented-mcl"),
         ),
-        "told-of-kidnap": Ablation("starts anew where the camera was carried to", told_of_kidnap=True),
+        "told-of-kidnap": Ablation("restarts where the camera was carried to", told_of_kidnap=True),
     }
 )
 """Ablations by name; `full` is none."""

@@ -13,6 +13,9 @@ from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 
+MOST_MODES = 16
+"""Kept of each image, the heaviest: enough for a place among many alike, and bounded in memory over a long run."""
+
 
 @runtime_checkable
 class Localizer(Protocol):
@@ -136,10 +139,6 @@ def mode_status(mode: Mode, converged_std_m: float, converged_weight: float) -> 
     """The status of a baseline, by the weight and the position of its best mode."""
     sure = mode.widest_std_m <= converged_std_m and mode.weight >= converged_weight
     return "converged" if sure else "ambiguous"
-
-
-MOST_MODES = 16
-"""Kept of each image, the heaviest: enough for a place among many alike, and bounded in memory over a long run."""
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,9 @@ from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from vapor.tracking.loop import History, Tracker
 
+GAUSSIANS = 15
+"""Gaussians of the Gaussian sum."""
+
 
 class KalmanTracker:
     """One hypothesis, corrected by the nearest place of each image, with the settings' slow errors and gaps."""
@@ -33,10 +36,6 @@ class KalmanTracker:
     def update(self, posterior: PosePosterior, odometry: Odometry | None, *, elapsed_s: float) -> tuple[Mode, ...]:
         """Take one image, see `Tracker`."""
         return (self._localizer.update(posterior, odometry, elapsed_s=elapsed_s),)
-
-
-GAUSSIANS = 15
-"""Gaussians of the Gaussian sum."""
 
 
 class GaussianSumTracker:
@@ -87,7 +86,7 @@ class Method:
         color: Its colour in pictures, from Okabe and Ito's palette where possible.
         kind: Its input: each "image" by itself, "odometry" alone, or both, as a "baseline" or as "ours".
         short_label: A shorter name for narrow columns.
-        error_curve: Whether it is in the picture of errors over time, where few curves can be told apart.
+        error_curve: Whether it is in the picture of errors over time, which has room for few curves.
         tracker: Makes the `Tracker` of a method that goes from image to image.
         at_end: Computes the poses (n,) of a method that sees the whole run at once.
     """
@@ -130,9 +129,9 @@ The step loop itself gives the poses of the filter and of single images. Dead re
 is known: in the recorder of a run, or in a passage.
 """
 
+
 FILES: Mapping[str, str] = MappingProxyType({name: method.file for name, method in METHODS.items()})
 """The file of a run's directory that holds each method's trajectory."""
-
 BASELINES = tuple(name for name, method in METHODS.items() if method.tracker is not None)
 """Names of the methods that go from image to image beside the filter."""
 
