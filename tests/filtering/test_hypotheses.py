@@ -186,30 +186,6 @@ def test_a_steady_motion_in_any_parts_leaves_the_same_belief_slow_errors_and_all
     np.testing.assert_allclose(stds[1], stds[2], rtol=0.02)
 
 
-def test_odometry_that_is_sure_of_one_axis_leaves_it_sure():
-    std = np.array([0.10, 0.002, 0.002, 1e-4, 1e-4, 1e-4])
-    h = birth(seen_at(Poses.identity(1), std=[1e-3] * 6), 0, 1, NEVER, None)
-    for _ in range(10):
-        h = predict(h, motion(0.5, 0, 0, 0, 0, 0, std=std), NEVER, [1.0])
-    stds = np.sqrt(np.diag(h.pose_covariance[0]))
-    assert stds[0] == pytest.approx(0.1 * np.sqrt(10), rel=0.01)
-    assert (stds[1:3] < 0.015).all()
-
-
-def test_after_a_quarter_turn_what_was_ahead_is_beside():
-    h = birth(seen_at(Poses.identity(1), std=[0.5, 0.01, 0.02, 0.001, 0.001, 0.001]), 0, 1, NEVER, None)
-    turned = predict(h, motion(0, 0, 0, 0, 0, np.pi / 2, std=np.zeros(6)), NEVER, [0.0])
-    np.testing.assert_allclose(np.sqrt(np.diag(turned.pose_covariance[0]))[:3], [0.01, 0.5, 0.02], rtol=1e-6)
-
-
-def test_a_known_scale_error_shortens_what_is_reported_too_long():
-    h = birth(seen_at(Poses.identity(1)), 0, 1, NEVER, None)
-    mean = h.mean.copy()
-    mean[:, 0] = 0.05
-    after = predict(replace(h, mean=mean), motion(2.0, 0, 0, 0, 0, 0), NEVER, [0.0])
-    assert after.poses[0].translation[0] == pytest.approx(1.9)
-
-
 def test_the_errors_of_standing_stay_and_those_of_a_way_fade():
     h = birth(seen_at(Poses.identity(1)), 0, 1, NEVER, None)
     stood = predict(h, motion(0, 0, 0, 0, 0, 0, std=np.zeros(6), duration_s=3600.0), NEVER, [0.0])

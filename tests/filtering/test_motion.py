@@ -22,19 +22,6 @@ def test_a_singular_covariance_has_a_factor():
     np.testing.assert_allclose(factor @ factor.T, covariance, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("covariance", "message"),
-    [
-        (np.diag([1.0, 1, 1, 1, 1, -0.5]), "negative eigenvalue -0.5"),
-        (np.full((6, 6), np.nan), "not finite"),
-        (np.eye(6) + np.eye(6, k=1), "not symmetric"),
-    ],
-)
-def test_what_is_no_covariance_is_refused_with_its_value(covariance, message):
-    with pytest.raises(VaporTrackError, match=message):
-        covariance_factor(covariance)
-
-
 def test_stated_noise_grows_with_motion_and_time():
     noise = MotionNoise()
     still = noise.covariance(Poses.identity(), 0.1)

@@ -17,9 +17,9 @@ from sequences.errors import SequenceError
 from sequences.odometry_fit.fit import fit_odometry
 from sequences.odometry_fit.pieces import LEAST_INCREMENTS
 from sequences.odometry_fit.result import OdometryFit
+from vapor.calibration.error_correlation import Travel
 from vapor.calibration.familiarity import EXEMPLARS, extract_features
 from vapor.calibration.image_errors import LEAST_IMAGES, LEAST_OUTLIERS, Change, fit_errors
-from vapor.calibration.lasting_errors import Travel
 from vapor.calibration.places import Observations
 from vapor.checkpoints.calibration import Calibration
 from vapor.checkpoints.scene_scale import flat_log_density, scene_extent

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Int64
 
 from filtering.errors import VaporTrackError
 from sequences.options import SequenceOptions
@@ -130,13 +129,8 @@ def _familiarity(
     if trained_on is None and known is not None:
         return known.with_threshold_of(extract_features(network, held_out.select(spaced(len(held_out), max_images))))
     if trained_on is None:
-        first = _first_half(held_out.sequence)
+        numbers, which = np.unique(held_out.sequence, return_inverse=True)
+        first = which % 2 == 0 if len(numbers) > 1 else np.arange(len(held_out)) < len(held_out) // 2
         trained_on, held_out = held_out.select(np.flatnonzero(first)), held_out.select(np.flatnonzero(~first))
     some = trained_on.select(spaced(len(trained_on), EXEMPLARS))
     return learn_familiarity(network, some, held_out.select(spaced(len(held_out), max_images)))
-
-
-def _first_half(sequence: Int64[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-    """Every other sequence; of a single one the first half."""
-    numbers, which = np.unique(sequence, return_inverse=True)
-    return which % 2 == 0 if len(numbers) > 1 else np.arange(len(sequence)) < len(sequence) // 2

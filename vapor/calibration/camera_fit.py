@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,7 +29,8 @@ class CameraFit:
         focal_std: Standard deviation of the logarithm of its focal length, from pixels alone.
         by_stated: The map by the stated camera; None where there is none, or none was asked for.
         by_found: Likewise by the found one.
-        errors_m: Median errors of localized images by either map (`typical_error_m`); None where there is only one.
+        errors_m: Median errors of localized images by either map, infinite where most have no right pose; None where
+            there is only one map.
     """
 
     stated: ViewCamera
@@ -76,26 +76,37 @@ class CameraFit:
 
 
 def fit_camera(
-    material: Material, stated: ViewCamera, error_m: Callable[[BuiltMap], float], *, known: bool, compare: bool = True
+    material: Material,
+    stated: ViewCamera,
+    features: QueryFeatures,
+    poses: Poses,
+    sequence: Int64[np.ndarray, " n"],
+    *,
+    known: bool,
+    compare: bool = True,
 ) -> CameraFit | None:
     """The camera of best fit; None where too few points are seen from two sides.
 
-    `error_m` gives the median error of images localized by a map. The maps of both cameras are compared where one is
-    stated (`known`), unless `compare` is false.
+    Where one is stated (`known`), the maps of both are compared by localized images, unless `compare` is false. Other
+    arguments are those of `leave_out`.
     """
     found = camera_found(material, stated)
     if found is None:
         return None
     by_found, by_stated = build(material, found.camera), build(material, stated) if known and compare else None
-    errors = None if by_stated is None or by_found is None else (error_m(by_stated), error_m(by_found))
+    errors = None
+    if by_stated is not None and by_found is not None:
+        errors = (
+            _typical_error_m(by_stated, features, poses, sequence),
+            _typical_error_m(by_found, features, poses, sequence),
+        )
     return CameraFit(stated, known, found.camera, found.focal_std, by_stated, by_found, errors)
 
 
-def typical_error_m(built: BuiltMap, features: QueryFeatures, poses: Poses, sequence: Int64[np.ndarray, " n"]) -> float:
-    """Median error of images localized without those near them in time; the arguments are those of `leave_out`.
-
-    Infinite where of most images no pose of the right place is verified.
-    """
+def _typical_error_m(
+    built: BuiltMap, features: QueryFeatures, poses: Poses, sequence: Int64[np.ndarray, " n"]
+) -> float:
+    """Median error of localized images; infinite where most have no verified pose of the right place."""
     left_out = leave_out(built, features, poses, sequence, most=_COMPARED, stretches=(1.0,))
     metres, _ = left_out.errors
     every = np.concatenate([metres, np.full(len(left_out.image) - len(metres), np.inf)])

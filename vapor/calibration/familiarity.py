@@ -46,7 +46,10 @@ def learn_familiarity(network: PoseRegressor, training: TrainingSet, held_out: T
     """
     if len(training) < LEAST_IMAGES:
         return None
-    familiarity = fit_familiarity(extract_features(network, training), _segments(training.sequence))
+    segment = training.sequence
+    if len(np.unique(segment)) < _FEW_SEQUENCES:
+        segment = np.arange(len(training)) * _BLOCKS // len(training)
+    familiarity = fit_familiarity(extract_features(network, training), segment)
     return familiarity.with_threshold_of(extract_features(network, held_out))
 
 
@@ -71,12 +74,6 @@ def fit_familiarity(features: Float32[np.ndarray, "n d"], segment: Int64[np.ndar
         own[segment == number] = of_others.unfamiliarity(features[segment == number])
     distance = max(float(np.quantile(own, QUANTILE)), 1e-6)
     return replace(fitted, own_distance=distance, threshold=distance)
-
-
-def _segments(sequence: Int64[np.ndarray, " n"]) -> Int64[np.ndarray, " n"]:
-    if len(np.unique(sequence)) >= _FEW_SEQUENCES:
-        return sequence
-    return np.arange(len(sequence)) * _BLOCKS // len(sequence)
 
 
 def _as_stored(values: np.ndarray) -> Float32[np.ndarray, "a b"]:

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from filtering.error_model import FOREIGN, LEAST_SCORE, ErrorModel, Six
 from filtering.se3 import Poses
-from vapor.calibration.lasting_errors import Travel, effective_images, lasting_errors, mistaken_lengths
+from vapor.calibration.error_correlation import Travel, effective_images, fit_error_correlation, mistaken_lengths
 from vapor.calibration.places import Observations, Places, as_six, log_densities, log_sums
 from vapor.checkpoints.scene_scale import RADIUS_RAD, flat_log_density, scene_extent
 
@@ -214,7 +214,7 @@ def fit_errors(
     else:
         errors = replace(errors, unfamiliar_power=0.0)
     residual, usable = places.residuals(errors)
-    lasting = lasting_errors(residual, usable, travel, extent)
+    lasting = fit_error_correlation(residual, usable, travel, extent)
     effective = effective_images(travel, lasting)
     errors = cautious(errors, effective)
     errors = replace(

@@ -11,15 +11,15 @@ from jaxtyping import Bool, Float64, Int64
 
 from filtering.error_model import ErrorModel
 from filtering.se3 import Poses
-from vapor.calibration.image_errors import LEAST_IMAGES, cautious, most_likely_errors
-from vapor.calibration.lasting_errors import (
+from vapor.calibration.error_correlation import (
     LEAST_PAIRS,
-    LastingErrors,
+    ErrorCorrelation,
     Travel,
     effective_images,
     fit_decay,
     pairs_of_images,
 )
+from vapor.calibration.image_errors import LEAST_IMAGES, cautious, most_likely_errors
 from vapor.calibration.places import Places
 from vapor.checkpoints.thinning import spaced
 from vapor.landmarks.build import BuiltMap
@@ -218,7 +218,7 @@ def fit_verified_errors(
     errors = replace(ErrorModel(flat_log_density=flat_log_density), **found.settings(depth_m))
     residuals, usable = places.residuals(errors)
     travel = Travel.along(poses, sequence)[left_out.image[which]]
-    lasting = _lasting(residuals, usable, travel, depth_m)
+    lasting = _error_correlation(residuals, usable, travel, depth_m)
     effective = effective_images(travel, lasting)
     errors = cautious(errors, effective)
     # Up to half of the images may look like outliers of the likeliest errors, but all of these places are right.
@@ -235,13 +235,13 @@ def fit_verified_errors(
     return VerifiedErrors(errors, len(rows), effective, left_out.elsewhere, metres, radians, places.coverage(errors))
 
 
-def _lasting(
+def _error_correlation(
     residual: Float64[np.ndarray, "n 6"], usable: Bool[np.ndarray, " n"], travel: Travel, depth_m: float
-) -> LastingErrors:
-    unit = LastingErrors(1.0, depth_m, _DEPTH_RAD)
+) -> ErrorCorrelation:
+    unit = ErrorCorrelation(1.0, depth_m, _DEPTH_RAD)
     first, second = pairs_of_images(travel, usable)
     if len(first) < LEAST_PAIRS:
-        return LastingErrors(_MOST_LASTING, _USUAL_LENGTH * depth_m, _USUAL_LENGTH * _DEPTH_RAD)
+        return ErrorCorrelation(_MOST_LASTING, _USUAL_LENGTH * depth_m, _USUAL_LENGTH * _DEPTH_RAD)
     apart = unit.between(travel, first, second)
     products = np.vecdot(residual[first], residual[second]) / max(float(np.square(residual).sum(axis=1).mean()), 1e-300)
     weights = 1.0 / (second - first)  # neighbours as much as all that are ten times as far from each other
@@ -249,5 +249,5 @@ def _lasting(
     for length in _LENGTHS:
         cost, fraction = fit_decay(apart / length, products, weights, (_LEAST_LASTING, _MOST_LASTING))
         if cost < best:
-            best, found = cost, LastingErrors(fraction, length * depth_m, length * _DEPTH_RAD)
+            best, found = cost, ErrorCorrelation(fraction, length * depth_m, length * _DEPTH_RAD)
     return found

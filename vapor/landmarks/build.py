@@ -15,14 +15,14 @@ from filtering.se3 import Poses
 from sequences.datasets.seen_points import SeenPoints
 from sequences.frame import Camera
 from vapor.landmarks.adjustment import Adjusted, adjusted
-from vapor.landmarks.features import Basis, Features, extract, stored, unit_vectors
+from vapor.landmarks.features import Basis, Features, extract, mutual_matches, stored, unit_vectors
 from vapor.landmarks.landmark_map import LandmarkMap, ViewCamera, summed_up
 from vapor.landmarks.points import Sightings, parallax, seen, triangulated
 from vapor.landmarks.tracks import (
+    RATIO,
     Matches,
     at_given_points,
     find_sightings,
-    matches_of,
     neighbours,
     typical_depth_m,
     with_given_points,
@@ -202,7 +202,9 @@ def gather(
         reduced.append(basis.reduced(extract(view(image), count, longest=VIEW_PX) if many else raw(image)))
     own = poses[key]
     pairs = {(min(i, j), max(i, j)) for i, others in neighbours(own, depth_m) for j in others.tolist()}
-    matches, at = matches_of(reduced, sorted(pairs)), ViewCamera(camera)
+    descriptors = [each.descriptors for each in reduced]
+    matches = {(i, j): mutual_matches(descriptors[i], descriptors[j], RATIO) for i, j in sorted(pairs)}
+    at = ViewCamera(camera)
     placed = [at_given_points(each, given(image), at) for each, image in zip(reduced, key.tolist(), strict=True)]
     matches = with_given_points(matches, [points for _, points in placed])
     return Material(camera if stated else None, key, own, tuple(each for each, _ in placed), basis, matches, depth_m)
@@ -232,7 +234,10 @@ def build(material: Material, camera: ViewCamera) -> BuiltMap | None:
 
 def camera_found(material: Material, stated: ViewCamera) -> Adjusted | None:
     """The camera that fits some of the key images and their poses; None where too few show the same."""
-    keys = _sample_of_keys(len(material.key))
+    keys = np.arange(len(material.key))
+    if len(keys) > _SAMPLED_KEYS:  # runs that follow each other, evenly over all
+        starts = np.linspace(0, len(keys) - _RUN, _SAMPLED_KEYS // _RUN).astype(np.int64)
+        keys = np.unique((starts[:, None] + np.arange(_RUN)).ravel())
     position = {int(k): i for i, k in enumerate(keys.tolist())}
     matches = {
         (position[i], position[j]): matched
@@ -261,13 +266,6 @@ def camera_found(material: Material, stated: ViewCamera) -> Adjusted | None:
         away = (found.camera_from_world @ poses).log() / np.repeat([material.depth_m, 1.0], 3)
         std = float(np.clip(np.sqrt(np.square(away).mean()), _POSE_STD / 4.0, 4.0 * _POSE_STD))
     return found
-
-
-def _sample_of_keys(count: int) -> Int64[np.ndarray, " k"]:
-    if count <= _SAMPLED_KEYS:
-        return np.arange(count)
-    starts = np.linspace(0, count - _RUN, _SAMPLED_KEYS // _RUN).astype(np.int64)
-    return np.unique((starts[:, None] + np.arange(_RUN)).ravel())
 
 
 def _points(

@@ -121,7 +121,12 @@ class LandmarkLocalizer:
             own = self.landmarks.shown_by(images[0])
             if np.count_nonzero(shown[own]) > _KNOWN * len(own):
                 continue
-            pose = self._first_pose(features, images)
+            points = self._points_of(images)
+            a, b = mutual_matches(features.descriptors, restored(self.landmarks.descriptors[points]), _RATIO)
+            if len(a) < _LEAST_MATCHES:
+                continue
+            at = self.landmarks.points[points[b]].astype(np.float64)
+            pose = lo_ransac(features.pixels[a], at, self.landmarks.camera.camera)
             if pose is None or self._is_known(pose.inverse(), found):
                 continue
             verified = self._refined(features, pose)
@@ -195,14 +200,6 @@ class LandmarkLocalizer:
             order = np.lexsort([-self._times_shown[points], -times])[:_MOST_POINTS]
             points = points[order]
         return points.astype(np.int64)
-
-    def _first_pose(self, features: Features, images: Sequence[int]) -> Poses | None:
-        m, points = self.landmarks, self._points_of(images)
-        a, b = mutual_matches(features.descriptors, restored(m.descriptors[points]), _RATIO)
-        if len(a) < _LEAST_MATCHES:
-            return None
-        at = m.points[points[b]].astype(np.float64)
-        return lo_ransac(features.pixels[a], at, m.camera.camera)
 
     def _refined(self, features: Features, camera_from_world: Poses) -> VerifiedPose | None:
         m, camera = self.landmarks, self.landmarks.camera

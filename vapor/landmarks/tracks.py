@@ -133,11 +133,6 @@ def inverse_distances(
     return found, 1.0 / np.maximum(length, 1e-300)
 
 
-def matches_of(features: Sequence[Features], pairs: Sequence[tuple[int, int]]) -> Matches:
-    """Matching features of pairs of views."""
-    return {(i, j): mutual_matches(features[i].descriptors, features[j].descriptors, RATIO) for i, j in pairs}
-
-
 def find_sightings(
     poses: Poses, features: Sequence[Features], camera: ViewCamera, matches: Matches, *, depth_m: float, most_px: float
 ) -> tuple[Sightings, Float64[np.ndarray, " e"]]:

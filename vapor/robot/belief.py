@@ -124,7 +124,13 @@ class LiveBelief:
             VaporTrackError: the filter cannot use it; the belief is as before.
         """
         odometry = self._restated(job.frame.odometry)
-        estimate = self.localizer.update(posterior, odometry, elapsed_s=self._until_s(job))
+        if self.anchor is None:
+            elapsed_s = 0.0
+        elif self.anchor.reading != job.reading:  # the clock was set
+            elapsed_s = max(job.began_s - self.anchor.began_s, 0.0)
+        else:
+            elapsed_s = max(job.frame.time_ns - self.anchor.time_ns, 0) * 1e-9
+        estimate = self.localizer.update(posterior, odometry, elapsed_s=elapsed_s)
         map_from_odom = self._map_from_odom(estimate, job.odom_from_base)
         self.anchor = Anchor(job.frame.time_ns, job.reading, estimate, map_from_odom, job.frame, job.began_s)
         return self.anchor
@@ -204,13 +210,6 @@ class LiveBelief:
 
     def _restated(self, odometry: Odometry | None) -> Odometry | None:
         return odometry if odometry is None or self._fit is None else self._fit.restated(odometry)
-
-    def _until_s(self, job: Job) -> float:
-        if self.anchor is None:
-            return 0.0
-        if self.anchor.reading != job.reading:
-            return max(job.began_s - self.anchor.began_s, 0.0)
-        return max(job.frame.time_ns - self.anchor.time_ns, 0) * 1e-9
 
     def _map_from_odom(self, estimate: Estimate, odom_from_base: Poses | None) -> Poses | None:
         if odom_from_base is None:

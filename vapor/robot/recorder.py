@@ -51,7 +51,9 @@ class MessageRecorder:
         if not path.parent.is_dir():
             raise SequenceError(f"{path}: cannot write, expected the folder {path.parent} to exist")
         try:
-            _put_aside(self._partial)
+            if self._partial.exists():  # of a killed process
+                names = (self._partial.with_name(f"{self._partial.name}.{n}") for n in count(1))
+                self._partial.rename(next(name for name in names if not name.exists()))
             self._file = self._partial.open("xb")
         except OSError as error:
             raise SequenceError(f"{path}: cannot write: {error.strerror or error}") from error
@@ -102,12 +104,6 @@ class MessageRecorder:
             self.error = f"{self.path}: recording ended: {error.strerror or error}; what was written is {self._partial}"
             while not self._waiting.empty() and self._waiting.get() is not None:
                 self.lost += 1
-
-
-def _put_aside(left: Path) -> None:
-    if left.exists():
-        number = next(n for n in count(1) if not left.with_name(f"{left.name}.{n}").exists())
-        left.rename(left.with_name(f"{left.name}.{number}"))
 
 
 def write_snapshot(folder: Path, frame: Frame, believed: Iterable[RawMessage]) -> Path:

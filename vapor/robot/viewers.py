@@ -67,7 +67,14 @@ class FoxgloveServer:
         """Serve a message to the subscribers."""
         key = raw.topic, raw.type
         if key not in self._channels:
-            self._channels[key] = self._channel(raw)
+            self._channels[key] = None
+            if raw.type in DEFINITIONS:
+                schema = self._foxglove.Schema(
+                    name=schema_name(raw.type), encoding="ros2msg", data=schema_text(raw.type).encode()
+                )
+                self._channels[key] = self._foxglove.Channel(
+                    raw.topic, schema=schema, message_encoding=raw.encoding, context=self._context
+                )
         if raw.topic == TF_STATIC:  # sent once, by several nodes
             with self._lock:
                 kept = self._latched.setdefault(raw.topic, [])
@@ -82,14 +89,6 @@ class FoxgloveServer:
             kept = list(self._latched.get(channel.topic, []))
         for raw in kept:
             self._channels[raw.topic, raw.type].log(raw.data, log_time=raw.log_time_ns)
-
-    def _channel(self, raw: RawMessage) -> Any:
-        if raw.type not in DEFINITIONS:
-            return None
-        schema = self._foxglove.Schema(
-            name=schema_name(raw.type), encoding="ros2msg", data=schema_text(raw.type).encode()
-        )
-        return self._foxglove.Channel(raw.topic, schema=schema, message_encoding=raw.encoding, context=self._context)
 
 
 class WatchingViewer:

@@ -21,13 +21,13 @@ from vapor.tracking.loop import Localizer
 class Ablation:
     """Changes to the settings of a filter and to the error model.
 
-    With `told_of_kidnap` the filter restarts where the camera was carried to.
+    With `known_kidnap` the filter restarts where the camera was carried to.
     """
 
     meaning: str
     localizer: Callable[[LocalizerConfig], LocalizerConfig] = lambda config: config
     errors: Callable[[ErrorModel], ErrorModel] = lambda errors: errors
-    told_of_kidnap: bool = False
+    known_kidnap: bool = False
 
     def start(self, config: LocalizerConfig, *, rng: np.random.Generator, kidnap_index: int | None = None) -> Localizer:
         """The ablated filter, of changed settings; `kidnap_index` is the first image after a kidnap."""
@@ -35,10 +35,10 @@ class Ablation:
         def begin() -> ParticleLocalizer:
             return ParticleLocalizer(None, config, rng=rng)
 
-        return _ToldOfKidnap(begin, kidnap_index) if self.told_of_kidnap else begin()
+        return _KnownKidnap(begin, kidnap_index) if self.known_kidnap else begin()
 
 
-class _ToldOfKidnap:
+class _KnownKidnap:
     def __init__(self, begin: Callable[[], ParticleLocalizer], kidnap_index: int | None) -> None:
         self._begin = begin
         self._kidnap_index = kidnap_index
@@ -66,13 +66,13 @@ def _gaussian(errors: ErrorModel) -> ErrorModel:
 ABLATIONS: Mapping[str, Ablation] = MappingProxyType(
     {
         "full": Ablation("the filter as it is"),
-        "no-lasting-errors": Ablation("every image errs independently, and its view is new", errors=_independent),
+        "no-correlation": Ablation("every image errs independently, and its view is new", errors=_independent),
         "no-tails": Ablation("Gaussian errors", errors=_gaussian),
         "no-adaptation": Ablation(
             "images err as modelled, whatever odometry shows",
             localizer=lambda config: replace(config, adapt_errors=False),
         ),
-        "trusting-shares": Ablation(
+        "trusting-fractions": Ablation(
             "a place is as probable as the fraction of the samples in it",
             errors=lambda errors: replace(errors, possible_fraction=1.0),
         ),
@@ -88,7 +88,7 @@ ABLATIONS: Mapping[str, Ablation] = MappingProxyType(
             "hypotheses are added where the images cast doubt, as in AMCL",
             localizer=lambda config: replace(config, births="augmented-mcl"),
         ),
-        "told-of-kidnap": Ablation("restarts where the camera was carried to", told_of_kidnap=True),
+        "known-kidnap": Ablation("restarts where the camera was carried to", known_kidnap=True),
     }
 )
 """Ablations by name; `full` is none."""

@@ -30,12 +30,8 @@ class Localizer(Protocol):
 class Tracker(Protocol):
     """A baseline that goes from image to image."""
 
-    def update(self, posterior: PosePosterior, odometry: Odometry | None, *, elapsed_s: float) -> tuple[Mode, ...]:
-        """Take one image; odometry is None where unknown, and not used on the first one.
-
-        Returns:
-            Hypotheses, at least one, the best one first.
-        """
+    def update(self, posterior: PosePosterior, odometry: Odometry | None, /, *, elapsed_s: float) -> Estimate | Mode:
+        """Take one image; odometry is None where unknown, and not used on the first one."""
         ...
 
 
@@ -70,9 +66,8 @@ class Baselines:
     def step(self, time_ns: int, posterior: PosePosterior, odometry: Odometry | None) -> dict[str, tuple[Mode, ...]]:
         """Take one image, see `StepLoop.step`; gives hypotheses by the baselines' names, the best one first."""
         elapsed_s = self._clock.elapsed_s(time_ns)
-        return {
-            name: tracker.update(posterior, odometry, elapsed_s=elapsed_s) for name, tracker in self._trackers.items()
-        }
+        found = {name: each.update(posterior, odometry, elapsed_s=elapsed_s) for name, each in self._trackers.items()}
+        return {name: each.modes if isinstance(each, Estimate) else (each,) for name, each in found.items()}
 
 
 class _Clock:

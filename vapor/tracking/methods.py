@@ -1,6 +1,6 @@
 """The table of tracking methods, and the baselines.
 
-To add a baseline, write a class that fits `Tracker`, and add a row to `METHODS`; reports and tables then include it.
+To add a baseline, write a class that fits `Tracker` and add a row to `METHODS`; reports and tables then include it.
 """
 
 from __future__ import annotations
@@ -14,10 +14,7 @@ import numpy as np
 
 from filtering.config import LocalizerConfig
 from filtering.error_model import ErrorModel
-from filtering.estimate import Mode
 from filtering.localizer import ParticleLocalizer
-from filtering.motion import Odometry
-from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from vapor.tracking.loop import History, Tracker
 
@@ -25,35 +22,21 @@ GAUSSIANS = 15
 """Gaussians of the Gaussian sum."""
 
 
-class KalmanTracker:
-    """One hypothesis, corrected by the nearest place of each image, with the settings' slow errors and gaps."""
+def _kalman(config: LocalizerConfig, rng: np.random.Generator) -> Tracker:
+    from filtering.kalman import KalmanConfig, KalmanLocalizer  # loads FilterPy, which takes a while
 
-    def __init__(self, config: LocalizerConfig, rng: np.random.Generator) -> None:
-        from filtering.kalman import KalmanConfig, KalmanLocalizer  # loads FilterPy, which takes a while
-
-        self._localizer = KalmanLocalizer(KalmanConfig(slow_errors=config.slow_errors, gap=config.gap))
-
-    def update(self, posterior: PosePosterior, odometry: Odometry | None, *, elapsed_s: float) -> tuple[Mode, ...]:
-        """Take one image, see `Tracker`."""
-        return (self._localizer.update(posterior, odometry, elapsed_s=elapsed_s),)
+    return KalmanLocalizer(KalmanConfig(slow_errors=config.slow_errors, gap=config.gap))
 
 
-class GaussianSumTracker:
-    """A Gaussian sum filter: the particle filter without births, truncated to its heaviest hypotheses.
-
-    Source: Alspach and Sorenson, "Nonlinear Bayesian estimation using Gaussian sum approximations", 1972.
-    """
-
-    def __init__(self, config: LocalizerConfig, rng: np.random.Generator) -> None:
-        self._localizer = ParticleLocalizer(None, gaussian_sum(config), rng=rng)
-
-    def update(self, posterior: PosePosterior, odometry: Odometry | None, *, elapsed_s: float) -> tuple[Mode, ...]:
-        """Take one image, see `Tracker`."""
-        return self._localizer.update(posterior, odometry, elapsed_s=elapsed_s).modes
+def _gaussian_sum(config: LocalizerConfig, rng: np.random.Generator) -> Tracker:
+    return ParticleLocalizer(None, gaussian_sum(config), rng=rng)
 
 
 def gaussian_sum(config: LocalizerConfig) -> LocalizerConfig:
-    """The settings of the filter that make it a Gaussian sum filter."""
+    """The settings of the filter without births, truncated to its heaviest hypotheses: a Gaussian sum filter.
+
+    Source: Alspach and Sorenson, "Nonlinear Bayesian estimation using Gaussian sum approximations", 1972.
+    """
     rates = {"kidnap_per_view": 0.0, "max_kidnap_per_view": 0.0}
     return replace(config, **rates, births="rate", max_hypotheses=GAUSSIANS, resampling="heaviest")
 
@@ -110,14 +93,14 @@ METHODS: Mapping[str, Method] = MappingProxyType(
     {
         "single_image": Method("single image", "single_image.tum", "#e69f00", "image"),
         "dead_reckoning": Method("dead reckoning", "dead_reckoning.tum", "#56b4e9", "odometry"),
-        "kalman": Method("Kalman filter", "kalman.tum", "#cc79a7", short_label="Kalman", tracker=KalmanTracker),
+        "kalman": Method("Kalman filter", "kalman.tum", "#cc79a7", short_label="Kalman", tracker=_kalman),
         "gaussian_sum": Method(
             "Gaussian sum",
             "gaussian_sum.tum",
             "#8c564b",
             short_label="Gauss.",
             error_curve=False,
-            tracker=GaussianSumTracker,
+            tracker=_gaussian_sum,
         ),
         "filter": Method("particle filter", "trajectory.tum", "#0072b2", "ours"),
         "smoothed": Method("smoothed", "smoothed.tum", "#009e73", "ours", error_curve=False, at_end=smooth_history),

@@ -11,8 +11,8 @@ from jaxtyping import Bool
 from filtering.mapped_views import MappedViews
 from filtering.se3 import Poses
 from vapor.calibration.calibrate import NUM_SAMPLES
+from vapor.calibration.error_correlation import ErrorCorrelation, Travel, effective_images, mistaken_lengths
 from vapor.calibration.familiarity import extract_features
-from vapor.calibration.lasting_errors import LastingErrors, Travel, effective_images, mistaken_lengths
 from vapor.calibration.verification import SeenPlaces, evidence, fit_verification, none_right
 from vapor.checkpoints.calibration import Calibration
 from vapor.checkpoints.thinning import spaced
@@ -88,12 +88,12 @@ class HeldOutLandmarks:
             return held
         errors, own = calibration.errors, landmarks.verified.errors
         longer = max(errors.mistaken_lengths, 1.0)
-        lasting = LastingErrors(1.0, longer * errors.length_m, longer * errors.length_rad)
+        lasting = ErrorCorrelation(1.0, longer * errors.length_m, longer * errors.length_rad)
         travel = Travel.along(split.source.poses, pass_numbers(split.source))[np.array(which)]
         effective = effective_images(travel, lasting)
         verification, wrong = fit_verification(seen, effective, landmarks.verification), none_right(seen, effective)
         said = evidence(seen, verification, wrong, errors.possible_fraction)
-        lengths = LastingErrors(1.0, own.length_m, own.length_rad)
+        lengths = ErrorCorrelation(1.0, own.length_m, own.length_rad)
         mistaken = max(mistaken_lengths(said, travel, lengths), _NEW_VIEW * depth_m / own.length_m)
         return replace(held, verification=verification, none_right=wrong, mistaken_lengths=mistaken)
 

@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 
 from filtering.se3 import Poses
-from vapor.calibration.camera_fit import fit_camera, typical_error_m
+from vapor.calibration.camera_fit import fit_camera
 from vapor.calibration.image_errors import LEAST_IMAGES
 from vapor.calibration.verification import fit_reach
 from vapor.calibration.verified_errors import QueryFeatures, VerifiedErrors, fit_verified_errors, leave_out
@@ -118,13 +118,7 @@ def _best_map(
     """The map by the camera that fits, and what was found of it."""
     if choice == "stated":
         return build(material, stated), ()
-    fit = fit_camera(
-        material,
-        stated,
-        lambda built: typical_error_m(built, features, images.poses, images.sequence),
-        known=known,
-        compare=choice == "auto",
-    )
+    fit = fit_camera(material, stated, features, images.poses, images.sequence, known=known, compare=choice == "auto")
     if fit is None:
         return build(material, stated), ()
     if fit.by_found is None or (choice == "auto" and not fit.is_better):

@@ -202,7 +202,7 @@ def test_only_a_filter_that_is_told_of_a_kidnap_starts_anew_there(folder, tiny_m
 
     monkeypatch.setattr(ParticleLocalizer, "update", watched)
     monkeypatch.setattr(setup, "results_code", lambda: "watched")
-    assert run(folder, tiny_model, "--kinds", "kidnap", "--ablations", "full", "told-of-kidnap") == 0
+    assert run(folder, tiny_model, "--kinds", "kidnap", "--ablations", "full", "known-kidnap") == 0
     assert len(anew) == 100  # two runs of 50 images, of which the last third is elsewhere
     assert [i for i, told in enumerate(anew) if told] == [50 + 33]
 

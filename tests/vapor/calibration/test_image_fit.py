@@ -10,8 +10,8 @@ from filtering.error_model import ErrorModel
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from tests.helpers.erring_posteriors import TRUE, UNIT, anywhere, fit, fitted, posteriors, simulated, student, walk
+from vapor.calibration.error_correlation import Travel
 from vapor.calibration.image_errors import fit_errors
-from vapor.calibration.lasting_errors import Travel
 from vapor.calibration.places import Observations
 from vapor.checkpoints.scene_scale import default_errors, flat_log_density, scene_extent
 

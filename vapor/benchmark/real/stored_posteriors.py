@@ -20,8 +20,8 @@ from sequences.odometry_fit.fit import fit_odometry
 from sequences.odometry_fit.pieces import OdometrySegment
 from sequences.trajectories.increments import odometry_between
 from vapor.benchmark.real.row import Draw, RowContext
+from vapor.calibration.error_correlation import Travel
 from vapor.calibration.image_errors import fit_errors
-from vapor.calibration.lasting_errors import Travel
 from vapor.calibration.places import Observations
 from vapor.checkpoints.scene_scale import default_errors
 from vapor.tracking.follow import Passage

@@ -63,7 +63,7 @@ def pairs_of_images(
 
 
 @dataclass(frozen=True)
-class LastingErrors:
+class ErrorCorrelation:
     """Correlated fraction of the variance of errors, and the lengths over which the correlation fades to 1/e."""
 
     fraction: float
@@ -91,12 +91,12 @@ def fit_decay(
     return float((weights * np.square(products - fraction * kernel)).sum()), fraction
 
 
-def lasting_errors(
+def fit_error_correlation(
     residual: Float64[np.ndarray, "n 6"],
     usable: Bool[np.ndarray, " n"],
     travel: Travel,
     extent: float,
-) -> LastingErrors:
+) -> ErrorCorrelation:
     """The correlation of the directions of errors (n, 6), in standard deviations, as the camera moves on.
 
     Least squares give the correlated fraction, and how many metres change a view as much as how many radians. Of two
@@ -107,14 +107,14 @@ def lasting_errors(
     direction = residual / np.maximum(np.linalg.norm(residual, axis=1, keepdims=True), 1e-300)
     first, second = pairs_of_images(travel, usable)
     if len(first) < LEAST_PAIRS:
-        return LastingErrors(_FRACTIONS[1], _LENGTHS[len(_LENGTHS) // 2] * extent, LENGTH_RAD)
+        return ErrorCorrelation(_FRACTIONS[1], _LENGTHS[len(_LENGTHS) // 2] * extent, LENGTH_RAD)
     products = (direction[second] * direction[first]).sum(axis=1)
     weights = 1.0 / (second - first)  # neighbours as much as all that are ten times as far from each other
 
-    def least_squares(length_rad: float) -> tuple[float, LastingErrors]:
-        best, found = np.inf, LastingErrors(_FRACTIONS[1], extent, length_rad)
+    def least_squares(length_rad: float) -> tuple[float, ErrorCorrelation]:
+        best, found = np.inf, ErrorCorrelation(_FRACTIONS[1], extent, length_rad)
         for length_m in _LENGTHS * extent:
-            tried = LastingErrors(1.0, float(length_m), length_rad)
+            tried = ErrorCorrelation(1.0, float(length_m), length_rad)
             cost, fraction = fit_decay(tried.between(travel, first, second), products, weights)
             if cost < best:
                 best, found = cost, replace(tried, fraction=float(np.clip(fraction, *_FRACTIONS)))
@@ -157,14 +157,14 @@ def _correlation_length(lengths: Float64[np.ndarray, " k"], products: Float64[np
     return integral
 
 
-def effective_images(travel: Travel, lasting: LastingErrors) -> float:
+def effective_images(travel: Travel, lasting: ErrorCorrelation) -> float:
     """Number of independent images of as much information: one a pass and one for every two lengths, at most all."""
     steps = lasting.between(travel, slice(None, -1), slice(1, None))
     return 1.0 + float(np.where(np.diff(travel.pass_number) == 0, np.minimum(steps / 2.0, 1.0), 1.0).sum())
 
 
 def mistaken_lengths(
-    evidence: Float64[np.ndarray, " n"], travel: Travel, lasting: LastingErrors, *, same_conditions: bool = False
+    evidence: Float64[np.ndarray, " n"], travel: Travel, lasting: ErrorCorrelation, *, same_conditions: bool = False
 ) -> float:
     """The number of lengths of errors over which images are one vote on the place; 1 where no image mistakes the place.
 
