@@ -191,15 +191,6 @@ def test_factors_do_not_depend_on_the_unit_of_length(factor):
     np.testing.assert_allclose(scaled.factors, lengths[:, None] * with_covariances(covariances).factors, rtol=1e-7)
 
 
-def test_factors_of_larger_errors_are_those_of_their_covariances():
-    """They are carried over, not computed again."""
-    posterior = with_covariances(any_covariances())
-    larger = posterior.inflated(2.5)
-    fresh = with_covariances(larger.covariances, larger.errors)
-    np.testing.assert_allclose(larger.factors, fresh.factors, rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(larger.variances, 2.5 * np.array(posterior.variances))
-
-
 # --- images unlike the training ---------------------------------------------------------------------
 
 GROWING = replace(ERRORS, unfamiliar_power=1.0, unfamiliar_score=0.5)

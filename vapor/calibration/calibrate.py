@@ -37,14 +37,7 @@ NUM_SAMPLES = 1000  # an image, as in use: fewer want wider kernels
 
 
 def fit_first_odometry(data: Mapping[str, TrainingSet | None]) -> tuple[OdometryFit | None, str]:
-    """How wrong odometry is on the first data that have enough of it, and the name of these.
-
-    Args:
-        data: Images by the name of the data that they are from; None where there are no such data.
-
-    Returns:
-        The fit and the name of the data; None and "none" where none of them has enough.
-    """
+    """The errors of odometry on the first data that have enough of it, and their name; else None and "none"."""
     for name, images in data.items():
         segments = odometry_segments(images) if images is not None else []
         if sum(len(segment.odometry) for segment in segments) < LEAST_INCREMENTS:

@@ -226,17 +226,19 @@ def fit_errors(
         mistaken_lengths=mistaken_lengths(evidence, travel, lasting, same_conditions=same_conditions),
         typical_std=places.typical_std(errors),
     )
-    formerly = Places.near(held_out.samples, held_out.truth, before.radius_m, before.radius_rad)
+    places_before = Places.near(held_out.samples, held_out.truth, before.radius_m, before.radius_rad)
     if held_out.score is not None:
-        formerly = formerly.grown(before, held_out.score)
-    gain = float((places.log_density(errors) - formerly.log_density(before)).mean())
+        places_before = places_before.grown(before, held_out.score)
+    gain = float((places.log_density(errors) - places_before.log_density(before)).mean())
     fits = {
         "errors of an image": ("radius_m", "spread", "floor", "tail", "outlier_probability", "unfamiliar_power"),
         "how long they last": ("lasting_fraction", "length_m", "length_rad", "mistaken_lengths"),
     }
-    values = [[{name: getattr(model, name) for name in names} for model in (before, errors)] for names in fits.values()]
-    changes = tuple(Change(what, *both, each) for what, both, each in zip(fits, values, (gain, None), strict=True))
-    return ErrorFit(errors, changes, places.coverage(errors), effective)
+    changes = []
+    for (what, names), gained in zip(fits.items(), (gain, None), strict=True):
+        formerly, now = ({name: getattr(model, name) for name in names} for model in (before, errors))
+        changes.append(Change(what, formerly, now, gained))
+    return ErrorFit(errors, tuple(changes), places.coverage(errors), effective)
 
 
 def _widest_places(held_out: Observations, extent: float, flat: float) -> tuple[float, Places, FoundErrors]:

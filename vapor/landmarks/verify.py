@@ -26,6 +26,8 @@ from vapor.landmarks.features import Features
 from vapor.landmarks.landmark_map import LEAST_INLIERS, LandmarkMap, ViewCamera
 from vapor.landmarks.localize import LandmarkLocalizer, VerifiedPose
 
+Rgb = UInt8[np.ndarray, "h w 3"]
+
 
 @dataclass(frozen=True)
 class ShownLandmarks:
@@ -40,7 +42,7 @@ class ShownLandmarks:
         number: Of the image in its run, from 0.
     """
 
-    image: UInt8[np.ndarray, "h w 3"]
+    image: Rgb
     features: Float64[np.ndarray, "n 2"]
     seen: Float64[np.ndarray, "k 2"]
     predicted: Float64[np.ndarray, "k 2"]
@@ -141,9 +143,14 @@ class Landmarks:
 
 
 class LandmarkVerifier:
-    """Adds the places that a model's landmarks verify to the posteriors of any network; errors are `errors.verified`.
+    """Adds verified places to the posteriors of any network.
 
-    `latest` has the verified poses of the latest image, that of most landmarks first.
+    Args:
+        landmarks: A model's, see `ModelDescription.landmarks`.
+        errors: Of verified places, the model's `calibration.errors.verified`.
+
+    Attributes:
+        latest: Verified poses of the latest image, that of most landmarks first.
     """
 
     def __init__(self, landmarks: Landmarks, errors: ErrorModel) -> None:
@@ -153,29 +160,23 @@ class LandmarkVerifier:
         pinhole = landmarks.map.camera.camera
         self._as_found = AsTakenBy(pinhole, (pinhole.width, pinhole.height))
 
-    def _view(
-        self, image: UInt8[np.ndarray, "h w 3"], camera: Camera | None
-    ) -> tuple[UInt8[np.ndarray, "h2 w2 3"], bool]:
+    def _view(self, image: Rgb, camera: Camera | None) -> tuple[UInt8[np.ndarray, "h2 w2 3"], bool]:
         """The image, resampled if of another camera than the map's, and whether the lens distorts it."""
         stated = self.landmarks.map.stated
         if camera is None or (stated is not None and same_view(camera, stated)):
             return image, True
         return self._as_found(image, camera), False
 
-    def _features(self, image: UInt8[np.ndarray, "h w 3"], camera: Camera | None) -> Features:
+    def _features(self, image: Rgb, camera: Camera | None) -> Features:
         view, distorted = self._view(image, camera)
         return self._localizer.features(grey_view(view, self.landmarks.map.camera.camera), distorted=distorted)
 
-    def find(
-        self, image: UInt8[np.ndarray, "h w 3"], camera: Camera | None, posterior: PosePosterior
-    ) -> list[VerifiedPose]:
+    def find(self, image: Rgb, camera: Camera | None, posterior: PosePosterior) -> list[VerifiedPose]:
         """Verified poses of an undistorted RGB image, near the places of its posterior and where it looks alike."""
         order = np.argsort(-posterior.weights, kind="stable")
         return self._localizer.localize(self._features(image, camera), posterior.means[order])
 
-    def verify(
-        self, image: UInt8[np.ndarray, "h w 3"], camera: Camera | None, posterior: PosePosterior
-    ) -> PosePosterior:
+    def verify(self, image: Rgb, camera: Camera | None, posterior: PosePosterior) -> PosePosterior:
         """The posterior of an undistorted RGB image with its verified places, and their errors where it has none."""
         self.latest = self.find(image, camera, posterior)
         if posterior.errors.verified is None:
@@ -184,7 +185,7 @@ class LandmarkVerifier:
 
     def shown(
         self,
-        image: UInt8[np.ndarray, "h w 3"],
+        image: Rgb,
         camera: Camera | None,
         found: Sequence[VerifiedPose],
         *,
@@ -209,7 +210,7 @@ class LandmarkVerifier:
         )
 
 
-def grey_view(image: UInt8[np.ndarray, "h w 3"], camera: Camera) -> UInt8[np.ndarray, "height width"]:
+def grey_view(image: Rgb, camera: Camera) -> UInt8[np.ndarray, "height width"]:
     """The middle of an RGB image, grey, of a camera's size."""
     grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))
     covering = scale_to_cover(grey, camera.width, camera.height)
