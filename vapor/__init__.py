@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from vapor.pipeline.config import RunConfig as RunConfig
     from vapor.pipeline.fuse import fuse as fuse
     from vapor.pipeline.run import run as run
+    from vapor.robot.belief import LiveEstimate as LiveEstimate
     from vapor.robot.config import LiveConfig as LiveConfig
-    from vapor.robot.estimate import LiveEstimate as LiveEstimate
     from vapor.robot.live import live as live
     from vapor.training.config import TrainConfig as TrainConfig
     from vapor.training.presets import PRESETS as PRESETS
@@ -39,7 +39,7 @@ _MODULES = {
     "Floors": "filtering.floors",
     "LandmarkVerifier": "vapor.landmarks.verify",
     "LiveConfig": "vapor.robot.config",
-    "LiveEstimate": "vapor.robot.estimate",
+    "LiveEstimate": "vapor.robot.belief",
     "LocalizerConfig": "filtering.config",
     "Mode": "filtering.estimate",
     "ObservationModel": "filtering.posterior",

@@ -67,13 +67,6 @@ def test_evidence_lies_between_the_outlier_share_and_one():
     np.testing.assert_allclose(result.log_evidence, [np.log(0.05 + 0.95 / 1.05), np.log(0.05)], atol=1e-12)
 
 
-def test_an_old_view_changes_no_weights_of_places():
-    belief = believed([0.0, 5.0], [0.6, 0.4])
-    after = associate(belief, seen_at(Poses.identity(1)), 0, novelty=0.0, distance=2.0).hypotheses
-    assert mass_at(after, 0.0) == pytest.approx(0.6, abs=1e-3)
-    assert mass_at(after, 5.0) == pytest.approx(0.4, abs=1e-3)
-
-
 def test_the_agreement_is_how_possible_the_belief_is_by_the_image():
     belief = believed([0.0, 5.0], [0.6, 0.4])
     assert associate(belief, seen_at(Poses.identity(1)), 0, novelty=0.0, distance=2.0).agreement == pytest.approx(

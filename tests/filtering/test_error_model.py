@@ -65,32 +65,6 @@ def test_scaling_there_and_back_is_the_model_itself():
             np.testing.assert_allclose(getattr(after, name), getattr(before, name), rtol=1e-12)
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"radius_m": 0.0},
-        {"radius_rad": 5.0},
-        {"spread": -1.0},
-        {"tail": 0.5},
-        {"outlier_probability": 0.0},
-        {"outlier_probability": 1.0},
-        {"flat_log_density": float("inf")},
-        {"possible_fraction": 0.0},
-        {"lasting_fraction": 1.0},
-        {"length_m": float("nan")},
-        {"length_rad": -0.1},
-        {"constant_fraction": -0.1},
-        {"unfamiliar_power": -0.5},
-        {"unfamiliar_power": 11.0},
-        {"unfamiliar_score": 0.0},
-    ],
-)
-def test_numbers_out_of_range_are_refused_by_name_and_value(change):
-    ((name, value),) = change.items()
-    with pytest.raises(VaporTrackError, match=rf"^{name} is {value}, expected between "):
-        ErrorModel(**change)
-
-
 @pytest.mark.parametrize("name", ["floor", "typical_std"])
 @pytest.mark.parametrize("bad", [0.0, -0.1, float("nan"), float("inf")])
 def test_standard_deviations_that_are_none_are_refused(name, bad):

@@ -92,18 +92,6 @@ def scipys_peaks(values, apart):
     return find_peaks(np.concatenate([[0.0], values, [0.0]]), distance=apart)[0] - 1
 
 
-def test_floors_are_those_that_the_peaks_of_scipy_give(monkeypatch):
-    walks = [
-        Poses.concatenate([corridor(0, 12, z_m=z) for z in (0.0, 3.0, 7.0)]),
-        corridor(0, 12),
-        true_walk(4000, floors=6),
-    ]
-    found = [Floors.found_in(walk) for walk in walks]
-    monkeypatch.setattr("filtering.floors.peaks_of", scipys_peaks)
-    assert found == [Floors.found_in(walk) for walk in walks]
-    assert [len(each.heights_m) if each is not None else 1 for each in found] == [3, 1, 6]
-
-
 @given(st.lists(st.integers(0, 6).map(float), min_size=1, max_size=40), st.integers(1, 12))
 def test_peaks_are_those_that_scipy_finds(values, apart):
     assert peaks_of(np.array(values), apart).tolist() == scipys_peaks(np.array(values), apart).tolist()

@@ -13,7 +13,7 @@ from filtering.localizer import ParticleLocalizer
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
-from tests.helpers.modelled_walk import ERRORS, ODOMETRY_STD, SLOW, walk
+from tests.helpers.modelled_walk import ERRORS, SLOW, walk
 
 CONFIG = KalmanConfig(slow_errors=SLOW)
 
@@ -162,20 +162,3 @@ def test_lengths_in_another_unit_give_the_same_times_that(unit):
     poses, _ = follow(KalmanLocalizer(CONFIG), plain.posteriors, plain.odometry)
     others, _ = follow(KalmanLocalizer(CONFIG), scaled.posteriors, scaled.odometry)
     np.testing.assert_allclose(others.translation, unit * poses.translation, atol=1e-6 * unit)
-
-
-def test_the_start_says_how_uncertain_it_is():
-    path = walk(2, rng=np.random.default_rng(8))
-    mode = KalmanLocalizer(CONFIG).update(path.posteriors[0], None)
-    np.testing.assert_allclose(np.diag(mode.covariance), np.square(ERRORS.floor), rtol=1e-6)
-    moved = KalmanLocalizer(CONFIG)
-    moved.update(path.posteriors[0], None)
-    wider = moved.update(PosePosterior.nothing(ERRORS), path.odometry[1])
-    assert (np.diag(wider.covariance) > np.diag(mode.covariance) + 0.5 * ODOMETRY_STD**2).all()
-
-
-@pytest.mark.parametrize("change", [{"gate_probability": 0.0}, {"gate_probability": 1.0}, {"rejected_s": float("nan")}])
-def test_settings_out_of_range_are_refused(change):
-    ((name, value),) = change.items()
-    with pytest.raises(VaporTrackError, match=f"^{name} is {value}, expected between "):
-        KalmanConfig(**change)

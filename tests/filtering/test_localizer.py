@@ -6,11 +6,29 @@ import pytest
 from filtering.config import LocalizerConfig
 from filtering.errors import VaporTrackError
 from filtering.localizer import ParticleLocalizer
-from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
-from tests.helpers.localizer_walks import AHEAD, FOREIGN, RNG, assert_same_belief, new_localizer, walk, weight_near
-from tests.helpers.simulation import FLOOR_HEIGHT_M, Oracle, climb, image_of, lifted, seen_at
+from tests.helpers.localizer_walks import (
+    AHEAD,
+    FOREIGN,
+    RNG,
+    STAY,
+    assert_same_belief,
+    new_localizer,
+    walk,
+    weight_near,
+)
+from tests.helpers.simulation import (
+    ERRORS,
+    FLOOR_HEIGHT_M,
+    ODOMETRY_STD,
+    Oracle,
+    climb,
+    image_of,
+    lifted,
+    motion,
+    seen_at,
+)
 
 FLOORS = (-2, -1, 0, 1, 2)
 
@@ -86,12 +104,6 @@ def test_a_first_image_that_is_all_but_sure_of_a_wrong_place_does_not_decide():
     assert weight_near(estimates[-1], lifted(pose, (3.0,)).translation[0]) > 0.25
 
 
-def test_odometry_on_the_first_step_is_not_used():
-    far = Odometry(Poses.exp(np.array([50.0, 0, 0, 0, 0, 0])), np.eye(6), 0.1)
-    estimates = [new_localizer().update(seen_at(Poses.identity(1)), odometry) for odometry in (None, far)]
-    assert_same_belief(*estimates, atol=0)
-
-
 def test_a_first_image_that_says_nothing_is_refused_and_the_next_begins():
     localizer = new_localizer()
     for nothing in (PosePosterior.nothing(), FOREIGN):
@@ -116,3 +128,193 @@ def test_a_first_image_that_is_foreign_gives_a_belief_that_is_lost_until_a_famil
 def test_there_is_nothing_to_predict_before_the_first_image():
     with pytest.raises(VaporTrackError, match="no image was localized yet"):
         new_localizer().predict(AHEAD)
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize("rate", [1, 3, 10, 30])
+def test_foreign_images_are_lost_after_about_a_second_or_six_images_and_the_map_in_view_again_is_found(rate):
+    localizer = new_localizer()
+    walk(localizer, 30)
+    step = motion(0, 0, 0, 0, 0, 0, std=ODOMETRY_STD / np.sqrt(rate / 10), duration_s=1 / rate)
+    foreign = seen_at(Poses.exp(np.array([[9.0, 0, 0, 0, 0, 0]])), unfamiliarity=2.0)
+    statuses = [localizer.update(foreign, step).status for _ in range(max(3 * rate, 10))]
+    since_s = (statuses.index("lost") + 1) / rate
+    # e^(−1.2) is the least agreement, and so is 0.8 to the 5.4
+    assert since_s == pytest.approx(max(1.2, 5.4 / rate), abs=max(0.34, 1.0 / rate))
+    assert statuses[-1] == "lost"
+    pose = localizer.predict(motion(0, 0, 0, 0, 0, 0, std=np.zeros(6), duration_s=0.0)).modes[0].world_from_camera
+    statuses = [localizer.update(seen_at(pose), step).status for _ in range(max(4 * rate, 10))]
+    since_s = (statuses.index("converged") + 1) / rate
+    assert since_s < max(3.0, 8.0 / rate)
+    assert "lost" not in statuses[max(rate, 3) :]
+
+
+def test_a_belief_whose_shares_say_sure_is_lost_all_the_same_when_images_fit_it_nowhere():
+    localizer = new_localizer()
+    before, _ = walk(localizer, 30)
+    assert before[-1].status == "converged"
+    for _ in range(30):
+        estimate = localizer.update(seen_at(Poses.exp(np.array([[50.0, 0, 0, 0, 0, 0]]))), STAY)
+    assert estimate.modes[0].weight > 0.9
+    assert estimate.status == "lost"
+    assert estimate.agreement < 0.3
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_a_kidnapped_camera_is_followed_within_a_few_lengths_and_meanwhile_the_belief_is_not_sure():
+    localizer = new_localizer()
+    before, pose = walk(localizer, 40)
+    assert before[-1].status == "converged"
+    elsewhere = Poses.exp(np.array([40.0, -7, 2, 0, 0, 2.0]))
+    estimates, pose = walk(localizer, 60, pose=elsewhere, seed=1)
+    near = [weight_near(estimate, elsewhere.translation, within=9.0) for estimate in estimates]
+    found = int(np.argmax(np.array(near) > 0.9))
+    lengths = 0.1 / ERRORS.length_m * found
+    assert 1.0 < lengths < 6.0
+    statuses = [estimate.status for estimate in estimates]
+    assert "converged" not in statuses[4:found]  # in a third of a second the images before are outweighed
+    assert "ambiguous" in statuses[:found]
+    assert statuses[-1] == "converged"
+    assert estimates[-1].modes[0].world_from_camera.distance(pose)[0] < 0.3
+
+
+def test_predicting_moves_the_belief_and_never_makes_it_surer():
+    localizer = new_localizer()
+    before, _ = walk(localizer, 30, shares=(0.6, 0.3), heights_m=(0.0, 3.0))
+    last = before[-1]
+    for _ in range(200):
+        estimate = localizer.predict(AHEAD)
+        np.testing.assert_allclose(
+            [mode.weight for mode in estimate.modes[:2]], [mode.weight for mode in before[-1].modes[:2]], atol=0.02
+        )
+        assert estimate.modes[0].widest_std_m >= last.modes[0].widest_std_m - 1e-9
+        assert (estimate.agreement, estimate.novelty, estimate.unfamiliarity) == (before[-1].agreement, 0.0, 0.0)
+        last = estimate
+    moved = before[-1].modes[0].world_from_camera.distance(last.modes[0].world_from_camera)[0]
+    assert moved > 3.0
+    assert last.modes[0].widest_std_m > 1.5 * before[-1].modes[0].widest_std_m
+
+
+def test_a_belief_too_wide_is_not_converged_though_it_is_one():
+    localizer = new_localizer(converged_std_m=0.08)
+    assert localizer.update(seen_at(Poses.identity(1)), None).status == "ambiguous"
+    assert walk(localizer, 40)[0][-1].status == "converged"
+
+
+def test_the_best_mode_changes_only_when_another_clearly_outweighs_it():
+    localizer = new_localizer(switch_ratio=1.5)
+    localizer.update(seen_at(lifted(Poses.identity(), (0.0, 3.0)), (0.55, 0.45)), None)
+    orders = []
+    estimates, _ = walk(localizer, 60, shares=(0.25, 0.75), heights_m=(0.0, 3.0))
+    for estimate in estimates:
+        best, other = estimate.modes[:2]
+        orders.append((best.world_from_camera.translation[2] > 1.5, best.weight / other.weight))
+    switched = next(i for i, (up, _) in enumerate(orders) if up)
+    assert any(ratio < 1.0 for _, ratio in orders[:switched])  # it stayed though it was lighter,
+    assert all(ratio > 1 / 1.5 for _, ratio in orders[:switched])  # but not by much
+    assert all(up for up, _ in orders[switched:])
+
+
+@pytest.mark.parametrize("nothing", [PosePosterior.nothing(), seen_at(Poses.identity(1), unfamiliarity=1.5)])
+def test_an_image_that_says_nothing_leaves_the_belief_as_the_motion_alone_does(nothing):
+    beliefs = []
+    for seen in (None, nothing):
+        localizer = new_localizer()
+        walk(localizer, 20, shares=(0.6, 0.3), heights_m=(0.0, 3.0))
+        beliefs.append(localizer.predict(AHEAD) if seen is None else localizer.update(seen, AHEAD))
+    assert_same_belief(*beliefs, atol=0, rtol=0)
+    for mode, other in zip(beliefs[0].modes, beliefs[1].modes, strict=True):
+        np.testing.assert_array_equal(mode.covariance, other.covariance)
+        assert mode.weight == other.weight
+
+
+class Recording:
+    """An observation model that knows where the camera is and counts the images it is shown."""
+
+    def __init__(self):
+        self.images = 0
+
+    def observe(self, image, *, rng):
+        self.images += 1
+        return seen_at(Poses.exp(0.01 * self.images * np.eye(6)[:1]))
+
+
+def test_an_image_that_equals_the_one_before_comes_from_a_frozen_camera_and_says_nothing():
+    localizer = ParticleLocalizer(Recording(), rng=RNG(0))
+    assert not localizer.observe(image_of(1)).says_nothing
+    assert localizer.observe(image_of(1)).says_nothing
+    assert not localizer.observe(image_of(2)).says_nothing
+    assert not localizer.observe(image_of(1)).says_nothing
+
+
+def test_a_frozen_camera_on_a_moving_robot_moves_the_belief_by_odometry_alone():
+    frozen, moved = (ParticleLocalizer(Recording(), rng=RNG(0)) for _ in range(2))
+    for localizer in (frozen, moved):
+        for i in range(5):
+            localizer.step(image_of(i), STAY)
+    for _ in range(10):
+        assert_same_belief(frozen.step(image_of(4), AHEAD), moved.predict(AHEAD), atol=0)
+
+
+COVARIANCE = np.diag([0.25, 0.25, 0.04, 0.01, 0.01, 0.07])
+
+
+def test_one_that_forgot_begins_as_a_new_one_does():
+    used, fresh = new_localizer(), new_localizer()
+    walk(used, 20)
+    used.forget()
+    with pytest.raises(VaporTrackError, match="nothing to predict from"):
+        used.predict(AHEAD)
+    pose = Poses.exp(np.array([3.0, -2.0, 0.5, 0.1, 0.2, 0.3]))
+    for localizer in (used, fresh):
+        localizer.update(seen_at(pose, errors=ERRORS), None)
+    one, other = used.update(seen_at(pose, errors=ERRORS), AHEAD), fresh.update(seen_at(pose, errors=ERRORS), AHEAD)
+    assert_same_belief(one, other, rtol=1e-12, atol=1e-12)
+    assert one.status == other.status
+
+
+def test_a_stated_pose_is_the_belief_with_its_uncertainty():
+    localizer = new_localizer()
+    walk(localizer, 5)
+    pose = Poses.exp(np.array([30.0, 4.0, 1.0, 0.0, 0.0, 1.5]))
+    estimate = localizer.start_at(pose, COVARIANCE, ERRORS)
+    (mode,) = estimate.modes
+    assert float(mode.world_from_camera.distance(pose)[0]) == 0.0
+    np.testing.assert_allclose(mode.covariance, COVARIANCE + ERRORS.constant_covariance(np.zeros((6, 6))))
+    assert mode.weight == 1.0
+
+
+def test_images_make_a_stated_pose_exact():
+    truth = Poses.exp(np.array([30.0, 4.0, 1.0, 0.0, 0.0, 1.5]))
+    localizer = new_localizer()
+    localizer.start_at(truth @ Poses.exp(np.array([0.4, -0.3, 0.1, 0.05, 0.0, -0.1])), COVARIANCE, ERRORS)
+    estimates, pose = walk(localizer, 12, pose=truth)
+    assert float(estimates[-1].modes[0].world_from_camera.distance(pose)[0]) < 0.15
+    assert estimates[-1].status == "converged"
+
+
+def test_images_of_elsewhere_outweigh_a_stated_pose_that_is_wrong():
+    localizer = new_localizer()
+    localizer.start_at(Poses.exp(np.array([60.0, 0.0, 0.0, 0.0, 0.0, 0.0])), COVARIANCE, ERRORS)
+    estimates, pose = walk(localizer, 60)
+    assert float(estimates[-1].modes[0].world_from_camera.distance(pose)[0]) < 0.3
+
+
+@pytest.mark.parametrize("bad", [np.zeros((6, 6)), np.full((6, 6), np.nan), -np.eye(6)])
+def test_a_covariance_that_is_none_leaves_the_belief_as_it_was(bad):
+    localizer, untouched = new_localizer(), new_localizer()
+    walk(localizer, 5)
+    walk(untouched, 5)
+    with pytest.raises(VaporTrackError):
+        localizer.start_at(Poses.identity(), bad, ERRORS)
+    assert_same_belief(localizer.predict(AHEAD), untouched.predict(AHEAD))
+
+
+def test_a_belief_over_an_unknown_motion_is_as_wide_as_the_time_is_long():
+    localizer = new_localizer()
+    walk(localizer, 20)
+    widths = [localizer.predicted(None, elapsed_s=s).modes[0].widest_std_m for s in (0.0, 0.5, 2.0)]
+    assert widths[0] < 0.2
+    speed = localizer.config.gap.speed_m_per_s
+    np.testing.assert_allclose(widths[1:], [0.5 * speed, 2.0 * speed], rtol=0.02)
+    assert localizer.predicted(None, elapsed_s=2.0).status == "ambiguous"

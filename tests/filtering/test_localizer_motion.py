@@ -24,22 +24,6 @@ from tests.helpers.simulation import (
 # --- odometry -------------------------------------------------------------------------------------
 
 
-def test_a_motion_in_parts_and_in_one_give_the_same_belief():
-    parts = [motion(0.3, 0.1 * k, 0, 0.1, 0, 0.4 - 0.2 * k, duration_s=0.5) for k in range(4)]
-    whole = parts[0].then(parts[1]).then(parts[2]).then(parts[3])
-    for slow, tolerance in ((SlowErrors(scale=0.0, relative_drift=0.0), 1e-9), (SlowErrors(), 0.02)):
-        stds, poses = [], []
-        for motions in (parts, [whole]):
-            localizer = new_localizer(slow_errors=slow)
-            estimate = localizer.update(seen_at(Poses.identity(1)), None)
-            for part in motions:
-                estimate = localizer.predict(part)
-            poses.append(estimate.modes[0].world_from_camera.as_matrix())
-            stds.append(np.sqrt(np.diag(estimate.modes[0].covariance)))
-        np.testing.assert_allclose(poses[0], poses[1], atol=1e-9)
-        np.testing.assert_allclose(stds[0], stds[1], rtol=tolerance)
-
-
 def test_odometry_that_errs_along_but_not_across_stays_so():
     localizer = new_localizer(slow_errors=SlowErrors(scale=0.0, relative_drift=0.0))
     localizer.update(seen_at(Poses.identity(1), std=[1e-3] * 6), None)

@@ -96,9 +96,3 @@ def test_a_view_is_forgotten_after_sixty_others():
     assert len(tracker.views) == 60
     tracker, _ = tracker.predict(forward(-100.1))
     assert tracker.observe()[1] == 1.0
-
-
-def test_looking_changes_no_meter_but_gives_another():
-    tracker, _ = TRACKER.predict(forward(0.5))
-    assert tracker.observe()[1] == tracker.observe()[1] == pytest.approx(0.5)
-    assert TRACKER.observe()[1] == 0.0

@@ -11,7 +11,7 @@ from filtering.localizer import ParticleLocalizer
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from tests.helpers.modelled_walk import SLOW, walk
-from vapor.tracking.baselines import GAUSSIANS, gaussian_sum
+from vapor.tracking.methods import GAUSSIANS, gaussian_sum
 
 CONFIG = LocalizerConfig(slow_errors=SLOW)
 GAUSSIAN_SUM, AUGMENTED = gaussian_sum(CONFIG), replace(CONFIG, births="augmented-mcl")

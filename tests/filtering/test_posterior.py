@@ -83,14 +83,6 @@ def test_equal_samples_are_one_place_as_wide_as_the_floor(count):
     np.testing.assert_allclose(posterior.covariances[0], np.diag(np.square(ERRORS.floor)), atol=1e-12)
 
 
-def test_the_same_samples_give_the_same_places():
-    samples, _ = two_clusters()
-    for _ in range(3):
-        np.testing.assert_array_equal(
-            find_places(samples, RADIUS_M, RADIUS_RAD)[0], find_places(two_clusters()[0], RADIUS_M, RADIUS_RAD)[0]
-        )
-
-
 @pytest.mark.parametrize("offset", [0.0, 1e4])
 @pytest.mark.parametrize("factor", [0.125, 32.0, 1024.0])
 def test_places_do_not_depend_on_the_unit_of_length_or_where_the_map_begins(factor, offset):
@@ -197,15 +189,6 @@ def test_factors_do_not_depend_on_the_unit_of_length(factor):
     covariances = any_covariances()
     scaled = with_covariances(covariances * np.multiply.outer(lengths, lengths), ERRORS.scaled(factor))
     np.testing.assert_allclose(scaled.factors, lengths[:, None] * with_covariances(covariances).factors, rtol=1e-7)
-
-
-def test_factors_of_larger_errors_are_those_of_their_covariances():
-    """They are carried over, not computed again."""
-    posterior = with_covariances(any_covariances())
-    larger = posterior.inflated(2.5)
-    fresh = with_covariances(larger.covariances, larger.errors)
-    np.testing.assert_allclose(larger.factors, fresh.factors, rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(larger.variances, 2.5 * np.array(posterior.variances))
 
 
 # --- images unlike the training ---------------------------------------------------------------------

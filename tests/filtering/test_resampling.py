@@ -90,14 +90,6 @@ def test_the_expected_weight_of_each_is_what_it_was(weights, count):
     assert (np.abs(after.mean(axis=0) - weights) <= error + 1e-12).all()
 
 
-def test_the_heavy_are_never_up_for_the_draw():
-    weights = np.array([0.5, 0.3] + [0.2 / 50] * 50)
-    for seed in range(50):
-        index, log_weights = optimal_resample(np.log(weights), 10, rng=np.random.default_rng(seed))
-        assert {0, 1} <= set(index)
-        np.testing.assert_allclose(np.exp(log_weights), [0.5, 0.3, *[0.2 / 8] * 8])
-
-
 def test_what_weighs_nothing_is_never_kept_while_enough_else_is_there():
     weights = np.array([0.0, 0.6, 0.0, 0.3, 0.1])
     for seed in range(50):

@@ -18,7 +18,7 @@ from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from filtering.smoothing import agreement, smooth
 from tests.helpers.simulation import ERRORS, lifted, seen_at
-from vapor.tracking.baselines import gaussian_sum
+from vapor.tracking.methods import gaussian_sum
 
 NOISE = MotionNoise()
 CENTURY_S = 3e9

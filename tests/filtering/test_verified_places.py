@@ -123,19 +123,12 @@ def test_the_smoother_weighs_verified_places_by_their_own_errors():
 
 
 def test_a_camera_that_sees_landmarks_later_gets_room_for_their_errors():
-    filtering = localizer()
-    plain = replace(ERRORS, verified=None)
+    filtering, kalman, plain = localizer(), KalmanLocalizer(), replace(ERRORS, verified=None)
     filtering.start_at(at(0.0)[0], 0.01 * np.eye(6), plain)
-    estimate = filtering.update(seen([0.1], [0.1]), STEP)
-    assert estimate.modes[0].widest_std_m < 0.03
-
-
-def test_the_kalman_filter_gets_room_for_them_later_too():
-    kalman, plain = KalmanLocalizer(), replace(ERRORS, verified=None)
     kalman.update(PosePosterior.from_estimates(at(0.0), 0.3, 0.1, plain), None)
-    mode = kalman.update(seen([0.1], [0.1]), STEP)
-    assert mode.world_from_camera.translation[0] == pytest.approx(0.1, abs=0.01)
-    assert mode.widest_std_m < 0.03
+    for mode in (filtering.update(seen([0.1], [0.1]), STEP).modes[0], kalman.update(seen([0.1], [0.1]), STEP)):
+        assert mode.world_from_camera.translation[0] == pytest.approx(0.1, abs=0.01)
+        assert mode.widest_std_m < 0.03
 
 
 def test_verified_places_need_their_errors():

@@ -22,10 +22,9 @@ from vapor.checkpoints.stored_tensors import landmark_arrays, landmarks_config
 from vapor.engines.onnx_file import describe_onnx
 from vapor.evaluation.validation import Validation
 from vapor.landmarks.features import SIFT_SIZE, SIZE, Features, restored, stored
-from vapor.landmarks.landmark_map import LandmarkMap
+from vapor.landmarks.landmark_map import LandmarkMap, ViewCamera
 from vapor.landmarks.localize import LandmarkLocalizer
 from vapor.landmarks.verify import Landmarks
-from vapor.landmarks.view_camera import ViewCamera
 from vapor.regressors.base import PoseRegressor
 from vapor.regressors.familiarity import Familiarity, description_size
 from vapor.regressors.network_config import NetworkConfig, make_regressor

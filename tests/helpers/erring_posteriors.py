@@ -6,9 +6,9 @@ import numpy as np
 
 from filtering.error_model import ErrorModel
 from filtering.se3 import Poses
+from vapor.calibration.error_correlation import Travel
 from vapor.calibration.image_errors import fit_errors
-from vapor.calibration.observations import Observations
-from vapor.calibration.travel import Travel
+from vapor.calibration.places import Observations
 from vapor.checkpoints.scene_scale import default_errors
 
 ROOM = np.array([10.0, 6.0, 2.0])

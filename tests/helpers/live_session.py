@@ -20,12 +20,12 @@ from sequences.recordings.message_definitions import decoder, encoder
 from sequences.recordings.source import RawMessage
 from tests.helpers.fake_transport import FakeTransport, messages_of, offering
 from tests.helpers.live_system import ANSWERS
-from tests.helpers.sequence_files import BEGIN_NS, picture, world_from_camera
+from tests.helpers.sequence_files import BEGIN_NS, IMAGES, picture, world_from_camera
 from vapor.observation import VaporObservationModel
 from vapor.pipeline.model import LoadedModel
 from vapor.robot import health, session
+from vapor.robot.belief import LiveEstimate
 from vapor.robot.config import LiveConfig
-from vapor.robot.estimate import LiveEstimate
 from vapor.robot.session import LiveSession
 
 ELSEWHERE = Poses.exp(np.array([0.0, 0.0, 30.0, 0.0, 0.0, 0.0]))
@@ -104,6 +104,30 @@ class Running:
             assert self.error is None, self.error
             time.sleep(0.005)
 
+    def wait_told(self, text: str) -> None:
+        """Wait until a line for a person has these words."""
+        self.wait(lambda: any(text in line for line in self.told))
+
+    def wait_until_subscribed(self, topic: str = IMAGES) -> None:
+        """Wait until the session has subscribed."""
+        self.wait(lambda: any(each.topic == topic for each in self.transport.subscribed))
+
+    def wait_for_error(self, timeout_s: float = 5.0) -> BaseException:
+        """Wait until the session ended by an error."""
+        end_s = time.monotonic() + timeout_s
+        while self.error is None:
+            assert time.monotonic() < end_s, self.told
+            time.sleep(0.01)
+        return self.error
+
+    def status(self) -> Any:
+        """The latest diagnostics."""
+        return self.messages("diagnostics")[-1].status[0]
+
+    def values(self) -> dict[str, str]:
+        """Values of the latest diagnostics."""
+        return {each.key: each.value for each in self.status().values}
+
     def wait_for(self, number: int) -> None:
         """Wait until so many images were localized."""
         self.wait(lambda: len(self.estimates) >= number)
@@ -126,7 +150,7 @@ def running(
     transport = offering(messages_of(walk))
     loaded = knowing(model or KnowingModel())
     told: list[str] = []
-    localization = LiveSession(loaded, transport, reading or ReadingOptions(), LiveConfig(**settings), tell=told.append)
+    localization = LiveSession(loaded, transport, reading or ReadingOptions(), LiveConfig(**settings), told.append)
     estimates: list[LiveEstimate] = []
     run = Running(transport, localization, estimates, told)
 

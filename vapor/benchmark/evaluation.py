@@ -19,10 +19,9 @@ from vapor.evaluation.consistency import evaluate_belief, truth_among_modes
 from vapor.evaluation.floors import evaluate_floor, floor_accuracy
 from vapor.evaluation.trajectory import evaluate_trajectory
 from vapor.tracking.ablations import ABLATIONS, Ablation
-from vapor.tracking.belief import Belief
-from vapor.tracking.follow import Followed, follow
+from vapor.tracking.follow import Followed, Passage, follow
+from vapor.tracking.loop import Belief
 from vapor.tracking.methods import BASELINES, METHODS, in_order
-from vapor.tracking.passage import Passage
 
 LOCALIZING = tuple(method for method in METHODS if method != "dead_reckoning")
 """Methods that find the camera by themselves: dead reckoning is given its start."""

@@ -1,1 +1,1 @@
-"""How a trained network errs, and what is familiar to it: both found on held-out images."""
+"""Errors and familiarity of a trained network, fitted on held-out images."""

@@ -8,15 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Int64
 
 from filtering.errors import VaporTrackError
 from sequences.options import SequenceOptions
 from vapor.calibration.calibrate import Advance, CalibrationResult, calibrate
 from vapor.calibration.familiarity import EXEMPLARS, extract_features, learn_familiarity
-from vapor.calibration.image_errors import LEAST_IMAGES
-from vapor.calibration.unfamiliarity import ordinary_score
-from vapor.checkpoints.checkpoint import Checkpoint
+from vapor.calibration.image_errors import LEAST_IMAGES, ordinary_score
 from vapor.checkpoints.file_format import find_model, load_checkpoint, save_checkpoint
 from vapor.checkpoints.scene_scale import spaced
 from vapor.checkpoints.stored_tensors import NETWORK
@@ -43,24 +40,23 @@ def calibrate_model(
     reading: SequenceOptions | None = None,
     advance: Advance = lambda done, total: None,
 ) -> CalibrationResult:
-    """Calibrate a model that was trained before, and write it with its weights untouched.
+    """Calibrate a trained model, and write it with its weights untouched.
 
-    What is familiar to the network is learned from `training`. Without it, what the model knows of that stays, and only
-    the threshold is found anew; a model that knows nothing of it learns it from half of the held-out data, and the
-    threshold from the rest.
+    Familiarity is learned from `training`. Without it, only the threshold of a known familiarity is fitted; an unknown
+    familiarity is learned from half of the held-out data, and the threshold from the rest.
 
     Args:
         model: Model file, or name of a model that ships.
         data: Held-out files and folders with true poses, as for `train`.
         output: The model file to write.
         training: Data that the model was trained on, or some of it.
-        familiarity_only: Fit only what is familiar.
+        familiarity_only: Fit only the familiarity.
         same_conditions: As in `calibrate`.
-        max_images: Held-out images that are used, at most.
+        max_images: Number of held-out images that are used, at most.
         seed: Of latent noise.
         device: Where the network runs.
-        reading: What to read of MCAP sequences, of both; None for all of it, as found.
-        advance: Called with the number of images seen by the network and of all.
+        reading: Options of reading MCAP sequences; None for the defaults.
+        advance: Called with the number of images seen by the network, and of all.
 
     Raises:
         VaporTrackError: unusable model or data, or too little of it to calibrate anything.
@@ -72,12 +68,13 @@ def calibrate_model(
     config = checkpoint.network
     require_no_leakage(training, data)
     odometry = "unread" if familiarity_only else "optional"
-    held_out = load_training_set(open_sequences(data, reading, odometry), config.frame_size, camera=checkpoint.camera)
-    trained_on = (
-        load_training_set(open_sequences(training, reading, odometry), config.frame_size, camera=checkpoint.camera)
-        if training
-        else None
-    )
+
+    def load(entries: Sequence[Path | str]) -> TrainingSet:
+        sequences = open_sequences(entries, reading, odometry)
+        return load_training_set(sequences, config.frame_size, camera=checkpoint.camera)
+
+    held_out = load(data)
+    trained_on = load(training) if training else None
     if len(held_out) < LEAST_IMAGES:
         names = ", ".join(Path(str(entry)).name for entry in data)
         raise VaporTrackError(f"{names}: {len(held_out)} images with true poses, expected at least {LEAST_IMAGES}")
@@ -96,32 +93,27 @@ def calibrate_model(
         errors = replace(calibration.errors, unfamiliar_score=ordinary_score(scores))
         calibration = replace(calibration, errors=errors)
     if familiarity_only:
-        _save(replace(checkpoint, familiarity=familiarity, calibration=calibration), output, file)
-        return CalibrationResult(calibration, skipped=skipped, notices=notices)
-    result = calibrate(
-        network,
-        held_out,
-        checkpoint.prior_poses,
-        calibration,
-        training=trained_on,
-        familiarity=familiarity,
-        same_conditions=same_conditions,
-        max_images=max_images,
-        seed=seed,
-        advance=advance,
-    )
-    names = {"data": [Path(str(entry)).name for entry in data]}
-    provenance = {**checkpoint.training, "calibration": names | result.provenance}
+        result, provenance = CalibrationResult(calibration), checkpoint.training
+    else:
+        result = calibrate(
+            network,
+            held_out,
+            checkpoint.prior_poses,
+            calibration,
+            training=trained_on,
+            familiarity=familiarity,
+            same_conditions=same_conditions,
+            max_images=max_images,
+            seed=seed,
+            advance=advance,
+        )
+        names = {"data": [Path(str(entry)).name for entry in data]}
+        provenance = {**checkpoint.training, "calibration": names | result.provenance}
     fitted = replace(checkpoint, calibration=result.calibration, training=provenance, familiarity=familiarity)
-    _save(fitted, output, file)
-    return replace(result, skipped=skipped, notices=notices)
-
-
-def _save(checkpoint: Checkpoint, output: Path, source: Path) -> None:
-    """Write a model with its network's weights in the precision of the file that they come from."""
-    stored = read_safetensors(source)[1].items()
+    stored = read_safetensors(file)[1].items()
     float16 = any(tensor.dtype == torch.float16 for name, tensor in stored if name.startswith(NETWORK))
-    save_checkpoint(output, checkpoint, store_float16=float16)
+    save_checkpoint(output, fitted, store_float16=float16)
+    return replace(result, skipped=skipped, notices=notices)
 
 
 def _familiarity(
@@ -131,17 +123,12 @@ def _familiarity(
     held_out: TrainingSet,
     max_images: int,
 ) -> Familiarity | None:
-    """What is familiar to a network, with the threshold of held-out images; None where there are too few images."""
+    """Familiarity with the threshold of held-out images; None where there are too few images."""
     if trained_on is None and known is not None:
         return known.with_threshold_of(extract_features(network, held_out.select(spaced(len(held_out), max_images))))
     if trained_on is None:
-        first = _first_half(held_out.sequence)
+        numbers, which = np.unique(held_out.sequence, return_inverse=True)
+        first = which % 2 == 0 if len(numbers) > 1 else np.arange(len(held_out)) < len(held_out) // 2
         trained_on, held_out = held_out.select(np.flatnonzero(first)), held_out.select(np.flatnonzero(~first))
     some = trained_on.select(spaced(len(trained_on), EXEMPLARS))
     return learn_familiarity(network, some, held_out.select(spaced(len(held_out), max_images)))
-
-
-def _first_half(sequence: Int64[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-    """Every other sequence; of a single one the first half."""
-    numbers, which = np.unique(sequence, return_inverse=True)
-    return which % 2 == 0 if len(numbers) > 1 else np.arange(len(sequence)) < len(sequence) // 2

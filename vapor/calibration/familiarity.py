@@ -1,4 +1,4 @@
-"""What the training images of a network look like to it, learned from them."""
+"""Familiarity of images to a network, learned from its training images."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _CHROMA_WEIGHT = 0.5
 
 
 def extract_features(network: PoseRegressor, images: TrainingSet) -> Float32[np.ndarray, "n d"]:
-    """Features of each image's centre crop (`Describer`); the network is in evaluation mode until all are done."""
+    """Features of each image's centre crop (`Describer`), with the network in evaluation mode."""
     config, training, device = network.config, network.training, network.pixel_mean.device
     network.eval()
     found = np.empty((len(images), description_size(config.backbone)), np.float32)
@@ -40,26 +40,21 @@ def extract_features(network: PoseRegressor, images: TrainingSet) -> Float32[np.
 
 
 def learn_familiarity(network: PoseRegressor, training: TrainingSet, held_out: TrainingSet) -> Familiarity | None:
-    """What training images look like, and how far held-out ones are from them; None with fewer than 50 training images.
+    """Familiarity of at most `EXEMPLARS` training images in order of time; None with fewer than 50.
 
-    Args:
-        network: With its final weights.
-        training: Images in order of time, at most `EXEMPLARS` well spread ones.
-        held_out: Images of the same place that it was not trained on; of fewer than 50 nothing is used.
+    The threshold is that of other images of the place, if there are 50.
     """
     if len(training) < LEAST_IMAGES:
         return None
-    familiarity = fit_familiarity(extract_features(network, training), _segments(training.sequence))
+    segment = training.sequence
+    if len(np.unique(segment)) < _FEW_SEQUENCES:
+        segment = np.arange(len(training)) * _BLOCKS // len(training)
+    familiarity = fit_familiarity(extract_features(network, training), segment)
     return familiarity.with_threshold_of(extract_features(network, held_out))
 
 
 def fit_familiarity(features: Float32[np.ndarray, "n d"], segment: Int64[np.ndarray, " n"]) -> Familiarity:
-    """What training images look like, and how far apart they are, from their features alone.
-
-    Args:
-        features: Of n training images.
-        segment: The number of the segment of the data that each is from, of which there must be several, (n,).
-    """
+    """Familiarity from features of n training images, each from one of several segments of the data."""
     centre, spread = features.mean(axis=0), features.std(axis=0)
     spread = np.maximum(spread, 1e-3 * spread.mean() + 1e-6)
     backbone, chroma = features.shape[1] - CHROMA, CHROMA
@@ -81,13 +76,5 @@ def fit_familiarity(features: Float32[np.ndarray, "n d"], segment: Int64[np.ndar
     return replace(fitted, own_distance=distance, threshold=distance)
 
 
-def _segments(sequence: Int64[np.ndarray, " n"]) -> Int64[np.ndarray, " n"]:
-    """The sequences themselves; of few, tenths of all images."""
-    if len(np.unique(sequence)) >= _FEW_SEQUENCES:
-        return sequence
-    return np.arange(len(sequence)) * _BLOCKS // len(sequence)
-
-
 def _as_stored(values: np.ndarray) -> Float32[np.ndarray, "a b"]:
-    """Rounded to float16, in which they are stored."""
     return values.astype(np.float16).astype(np.float32)

@@ -1,27 +1,30 @@
-"""The fit of how a network's posteriors err, by maximum likelihood on held-out images."""
+"""Errors of a network's posteriors, by maximum likelihood on held-out images."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
+from jaxtyping import Float64
+from torch import Tensor
 
-from filtering.error_model import ErrorModel
+from filtering.error_model import FOREIGN, LEAST_SCORE, ErrorModel, Six
 from filtering.se3 import Poses
-from vapor.calibration.change import Change, change_of
-from vapor.calibration.lasting_errors import effective_images, lasting_errors
-from vapor.calibration.lasting_mistakes import mistaken_lengths
-from vapor.calibration.maximum_likelihood import FoundErrors, most_likely_errors
-from vapor.calibration.observations import Observations
-from vapor.calibration.places import Places, as_six
-from vapor.calibration.travel import Travel
-from vapor.calibration.unfamiliarity import growing_errors
+from vapor.calibration.error_correlation import Travel, effective_images, fit_error_correlation, mistaken_lengths
+from vapor.calibration.places import Observations, Places, as_six, log_densities, log_sums
 from vapor.checkpoints.scene_scale import RADIUS_RAD, flat_log_density, scene_extent
 
+_STARTS = (0.003, 0.02, 0.1, 0.3)  # of the floor, in extents
+_TRIES, _STEPS = 12, 80  # of the optimiser, from every start and from the best
+_LOG_SPREAD, _LOG_FLOOR, _LOG_TAIL, _LOGIT_OUTLIERS = (-5.0, 4.0), (-9.0, 0.0), (0.7, 4.0), (-5.0, 0.0)
+_LIMITS = (_LOG_SPREAD, *[_LOG_FLOOR] * 6, _LOGIT_OUTLIERS, _LOG_TAIL)
+_PULL, _PULLED_TO = 1e-4, np.log(0.02)  # of the floor's logarithms, decisive without data
+_POWERS = np.linspace(0.0, 1.5, 13)  # by which errors grow with the score
 LEAST_IMAGES = 20
 """Images that are needed for a fit."""
 LEAST_OUTLIERS = 0.05
-"""Least probability of outliers: as neighbouring images err alike, none in 500 does not say that there are none."""
+"""Least probability of outliers: neighbouring images err alike, so none in 500 does not exclude them."""
 _RADII = np.geomspace(0.01, 0.32, 6)  # of a place, in extents of the scene
 _AS_GOOD = 0.1  # nats an image, by which the likelihood may be below the highest for a wider place to be taken
 _ALIKE = 10.0  # images: the weight of the assumption that all axes err alike
@@ -30,15 +33,133 @@ _UNSURE = 10.0  # over the number of images: by how much the variances of a fit 
 
 
 @dataclass(frozen=True)
-class ErrorFit:
-    """How the posteriors of images with true poses err.
+class Change:
+    """Values of a fit before and after, by their setting's name; `gain` is in nats per held-out image."""
 
-    Attributes:
-        errors: The model.
-        changes: What was fitted.
-        coverage: Fraction of the images whose true pose lies in the 50, 90 and 95 % region of the likeliest place.
-        effective_images: How many independent images are worth as much.
+    what: str
+    before: dict[str, float | Six]
+    after: dict[str, float | Six]
+    gain: float | None = None
+
+
+@dataclass(frozen=True)
+class FoundErrors:
+    """The likeliest errors for one reach of a place.
+
+    `score` is the mean log likelihood, with the pull of the floor. `parameters` are logarithms of spread and floor (in
+    extents), logit of the outliers, and logarithm of the tail, (9,).
     """
+
+    score: float
+    parameters: Tensor
+
+    def settings(self, extent: float) -> dict[str, float | Six]:
+        """Fields of the `ErrorModel`, for a scene of this extent in metres."""
+        spread, floor, outliers, tail = (value.numpy() for value in _unpack(self.parameters))
+        lengths = np.array([extent] * 3 + [1.0] * 3)
+        return {
+            "spread": float(spread),
+            "floor": as_six(floor * lengths),
+            "outlier_probability": float(1.0 / (1.0 + np.exp(-outliers))),
+            "tail": float(tail),
+        }
+
+
+def _unpack(parameters: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    return (
+        parameters[0].clamp(*_LOG_SPREAD).exp(),
+        parameters[1:7].clamp(*_LOG_FLOOR).exp(),
+        parameters[7].clamp(*_LOGIT_OUTLIERS),
+        parameters[8].clamp(*_LOG_TAIL).exp(),
+    )
+
+
+def most_likely_errors(places: Places, extent: float, flat: float, also: Tensor | None) -> FoundErrors:
+    """Spread, floor, tail and outliers of highest likelihood, from several starting points and `also`.
+
+    `extent` of the scene in metres is the unit of lengths. `flat` is the log density of poses spread evenly over it.
+    """
+    unit = np.array([extent] * 3 + [1.0] * 3)
+    residual = torch.from_numpy(places.residual / unit)
+    covariance = torch.from_numpy(places.covariance / (unit[:, None] * unit) + 1e-12 * np.eye(6))
+    fraction, image = torch.from_numpy(places.fraction), torch.from_numpy(places.image)
+    log_unit = 3.0 * np.log(extent)
+
+    low, high = (torch.tensor(limits, dtype=torch.float64) for limits in zip(*_LIMITS, strict=True))
+
+    def loss(parameters: Tensor) -> tuple[float, Tensor]:
+        """Negative mean log likelihood, with the pull of the floor, and its gradient."""
+        spread, floor, outliers, tail = _unpack(parameters)
+        terms, slopes = log_densities(residual, covariance, fraction, spread, floor, tail)
+        log_places = log_sums(terms, image)
+        out, right = torch.nn.functional.logsigmoid(outliers), torch.nn.functional.logsigmoid(-outliers)
+        log_right = right + log_places - log_unit
+        log_likelihood = torch.logaddexp(out + flat, log_right)
+        by_right = (log_right - log_likelihood).exp()  # of each image: the chance that it is no outlier
+        by_place = (terms - log_places[image]).exp() * by_right[image] / len(by_right)
+        off = parameters[1:7] - _PULLED_TO
+        gradient = torch.empty_like(parameters)
+        gradient[[0, 1, 2, 3, 4, 5, 6, 8]] = -(by_place @ slopes)
+        gradient[7] = by_right.mean() - right.exp()
+        gradient[(parameters < low) | (parameters > high)] = 0.0
+        gradient[1:7] += 2.0 * _PULL * off
+        return float(_PULL * off.square().sum() - log_likelihood.mean()), gradient
+
+    def search(start: Tensor, steps: int) -> tuple[float, Tensor]:
+        parameters = start.clone().requires_grad_(True)
+        optimiser = torch.optim.LBFGS(
+            [parameters], max_iter=steps, line_search_fn="strong_wolfe", tolerance_grad=1e-4, tolerance_change=1e-7
+        )
+
+        def closure() -> float:
+            value, parameters.grad = loss(parameters.detach())
+            return value
+
+        optimiser.step(closure)
+        found = parameters.detach()
+        value, _ = loss(found)
+        return (value, found) if np.isfinite(value) and torch.isfinite(found).all() else (np.inf, start)
+
+    starts = []
+    for floor in _STARTS:
+        angle = min(max(floor, 0.02), 0.2)
+        logs = [0.0, *[np.log(floor)] * 3, *[np.log(angle)] * 3, -2.5, 1.8]
+        starts.append(torch.tensor(logs, dtype=torch.float64))
+    ends = [search(start, _TRIES) for start in (starts if also is None else [*starts, also])]
+    value, parameters = min(ends, key=lambda end: end[0])
+    better, refined = search(parameters, _STEPS)
+    return FoundErrors(-better, refined) if better < value else FoundErrors(-value, parameters)
+
+
+def growing_errors(
+    errors: ErrorModel,
+    places: Places,
+    score: Float64[np.ndarray, " n"],
+    trained: Observations,
+    trained_score: Float64[np.ndarray, " k"],
+) -> ErrorModel:
+    """The model with errors that grow with the score by the power of highest likelihood.
+
+    Held-out images (n) and training images (k), which are more familiar, have the same weight.
+    """
+    errors = replace(errors, unfamiliar_score=ordinary_score(score))
+    known = Places.near(trained.samples, trained.truth, errors.radius_m, errors.radius_rad)
+
+    def likelihood(grown: ErrorModel) -> float:
+        held_out = places.grown(grown, score).log_density(grown).mean()
+        return float(held_out + known.grown(grown, trained_score).log_density(grown).mean())
+
+    return max((replace(errors, unfamiliar_power=float(power)) for power in _POWERS), key=likelihood)
+
+
+def ordinary_score(score: Float64[np.ndarray, " n"]) -> float:
+    """The median score, within the range that counts."""
+    return float(np.clip(np.median(score), LEAST_SCORE, FOREIGN))
+
+
+@dataclass(frozen=True)
+class ErrorFit:
+    """Errors of the posteriors of images with true poses, with the coverage of their 50, 90 and 95 % regions."""
 
     errors: ErrorModel
     changes: tuple[Change, ...]
@@ -55,26 +176,24 @@ def fit_errors(
     trained: Observations | None = None,
     same_conditions: bool = False,
 ) -> ErrorFit:
-    """Fit how the posteriors of n images err.
+    """Fit the errors of the posteriors of n held-out images.
 
-    Places, spread, floor, tails and outliers are those of highest mean log likelihood
+    Places, spread, floor, tails and outliers maximise the mean log likelihood
 
         log[ε flat + (1 − ε) Σₖ fractionₖ t(true pose; placeₖ, spread Cₖ + diag(floor²), ν)].
 
-    Where the likelihood hardly tells one reach of places from another, the wider one is taken. By how much more
-    unfamiliar images err comes from images that were trained on: the power of the score of highest likelihood. How long
-    errors last comes from the products of the directions of normalised errors of two images, against how far the camera
-    came between them, and how long mistakes about the place last from what two images say for the true one. As
-    neighbouring images err alike, the data are worth fewer images than there are: the fewer, the more alike the axes
-    and the larger the variances.
+    Among reaches of places of nearly the same likelihood, the widest is taken. Growth with unfamiliarity is the power
+    of highest likelihood. The correlation of errors comes from products of the normalised errors of two images against
+    the motion between them, that of mistakes from the evidence of two images for the true place. The fewer independent
+    images, the more alike are the axes and the larger the variances.
 
     Args:
-        held_out: Held-out images, n.
-        travel: Of the camera, between them.
-        scene: Poses that outline the scene: all lengths are searched for in proportion to it.
-        before: The model so far, of which all else is kept.
-        trained: Images that were trained on, best those that others are compared with.
-        same_conditions: Whether held-out images are of the hours, the light and the seasons of use.
+        held_out: Held-out images.
+        travel: Motion between them.
+        scene: Poses that outline the scene, the unit of all lengths.
+        before: The model so far; other fields are kept.
+        trained: Training images.
+        same_conditions: Whether held-out images show the light and season of use.
     """
     extent = scene_extent(scene)
     flat = flat_log_density(scene)
@@ -95,7 +214,7 @@ def fit_errors(
     else:
         errors = replace(errors, unfamiliar_power=0.0)
     residual, usable = places.residuals(errors)
-    lasting = lasting_errors(residual, usable, travel, extent)
+    lasting = fit_error_correlation(residual, usable, travel, extent)
     effective = effective_images(travel, lasting)
     errors = cautious(errors, effective)
     errors = replace(
@@ -107,18 +226,19 @@ def fit_errors(
         mistaken_lengths=mistaken_lengths(evidence, travel, lasting, same_conditions=same_conditions),
         typical_std=places.typical_std(errors),
     )
-    formerly = Places.near(held_out.samples, held_out.truth, before.radius_m, before.radius_rad)
+    places_before = Places.near(held_out.samples, held_out.truth, before.radius_m, before.radius_rad)
     if held_out.score is not None:
-        formerly = formerly.grown(before, held_out.score)
-    gain = float((places.log_density(errors) - formerly.log_density(before)).mean())
-    names = ("radius_m", "spread", "floor", "tail", "outlier_probability", "unfamiliar_power")
-    changes = (
-        change_of("errors of an image", names, before, errors, gain),
-        change_of(
-            "how long they last", ("lasting_fraction", "length_m", "length_rad", "mistaken_lengths"), before, errors
-        ),
-    )
-    return ErrorFit(errors, changes, places.coverage(errors), effective)
+        places_before = places_before.grown(before, held_out.score)
+    gain = float((places.log_density(errors) - places_before.log_density(before)).mean())
+    fits = {
+        "errors of an image": ("radius_m", "spread", "floor", "tail", "outlier_probability", "unfamiliar_power"),
+        "how long they last": ("lasting_fraction", "length_m", "length_rad", "mistaken_lengths"),
+    }
+    changes = []
+    for (what, names), gained in zip(fits.items(), (gain, None), strict=True):
+        formerly, now = ({name: getattr(model, name) for name in names} for model in (before, errors))
+        changes.append(Change(what, formerly, now, gained))
+    return ErrorFit(errors, tuple(changes), places.coverage(errors), effective)
 
 
 def _widest_places(held_out: Observations, extent: float, flat: float) -> tuple[float, Places, FoundErrors]:
@@ -135,10 +255,9 @@ def _widest_places(held_out: Observations, extent: float, flat: float) -> tuple[
 
 
 def cautious(errors: ErrorModel, effective: float) -> ErrorModel:
-    """Larger errors, and axes more alike, the fewer independent images they were found on.
+    """Larger errors and more similar axes, the fewer independent images there are.
 
-    An error that lasts through all of them is not seen: the fewer they are, the larger the fraction that may never
-    fade.
+    An error common to all images is not visible: with few images, a larger fraction of the variance may never fade.
     """
     variances = np.square(errors.floor).reshape(2, 3)
     variances = (effective * variances + _ALIKE * variances.mean(axis=1, keepdims=True)) / (effective + _ALIKE)

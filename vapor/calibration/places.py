@@ -1,4 +1,4 @@
-"""The places of images among their posterior samples, and the likelihood of the true poses there."""
+"""Places of images among their posterior samples, and the likelihood of the true poses there."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float64, Int64
 from scipy.stats import f as fisher
+from torch import Tensor
 
 from filtering.association import PLACE
 from filtering.error_model import ErrorModel, Six
 from filtering.moments import group_moments
 from filtering.posterior import find_places
 from filtering.se3 import Poses
-from vapor.calibration.student_t import log_densities, log_sums
 
 REGIONS = (0.5, 0.9, 0.95)
 """Probabilities of the regions whose coverage is reported."""
@@ -23,14 +23,59 @@ _NEAREST = 8  # places of an image that are fitted: those nearest to the true po
 
 
 @dataclass(frozen=True)
+class Observations:
+    """Posterior samples, (m,) each, and true poses of n images, and `PosePosterior.unfamiliarity`, if any."""
+
+    samples: Sequence[Poses]
+    truth: Poses
+    score: Float64[np.ndarray, " n"] | None = None
+
+
+def log_densities(
+    residual: Tensor, covariance: Tensor, fraction: Tensor, spread: Tensor, floor: Tensor, tail: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Log of fraction times Student t density of each residual, (p,), and its slopes (p, 8).
+
+    The slopes are by the logarithms of spread, floor (6) and tail. Automatic differentiation takes twice the time.
+    """
+    factor = torch.linalg.cholesky(spread * covariance + torch.diag(floor.square()))
+    inverse = torch.cholesky_inverse(factor)
+    solved = (inverse @ residual[..., None])[..., 0]
+    squared = (residual * solved).sum(dim=1)
+    half = (tail + 6.0) / 2.0
+    log_volume = torch.diagonal(factor, dim1=1, dim2=2).log().sum(dim=1)
+    log_constant = torch.lgamma(half) - torch.lgamma(tail / 2.0) - 3.0 * torch.log(tail * np.pi)
+    log_far = torch.log1p(squared / tail)
+    by_scale = solved[:, :, None] * solved[:, None, :] * (half / (tail + squared))[:, None, None] - 0.5 * inverse
+    by_tail = 0.5 * (torch.digamma(half) - torch.digamma(tail / 2.0) - log_far) - 3.0 / tail
+    by_tail += half * squared / (tail * (tail + squared))
+    slopes = torch.cat(
+        [
+            spread * (by_scale * covariance).sum(dim=(1, 2))[:, None],
+            2.0 * floor.square() * torch.diagonal(by_scale, dim1=1, dim2=2),
+            tail * by_tail[:, None],
+        ],
+        dim=1,
+    )
+    return fraction.log() + log_constant - log_volume - half * log_far, slopes
+
+
+def log_sums(terms: Tensor, image: Tensor) -> Tensor:
+    """Log of the sum of exponentials over the places of each of n images, given in increasing order, (n,)."""
+    count = int(image[-1]) + 1
+    top = torch.full((count,), -torch.inf, dtype=terms.dtype).scatter_reduce(0, image, terms.detach(), "amax")
+    return top + torch.zeros(count, dtype=terms.dtype).scatter_add(0, image, (terms - top[image]).exp()).log()
+
+
+@dataclass(frozen=True)
 class Places:
     """Places of n images, those nearest to the true pose, by image.
 
     Attributes:
-        residual: The true pose as seen from each place, ξ = (v, ω), (p, 6).
-        covariance: Of the samples, (p, 6, 6).
-        fraction: Of the image's samples that each has, (p,).
-        image: Which one each is of, in increasing order, every image at least once, (p,).
+        residual: The true pose from each place, ξ = (v, ω).
+        covariance: Of the samples.
+        fraction: Fraction of the image's samples in each.
+        image: The image of each, in increasing order, every image at least once.
     """
 
     residual: Float64[np.ndarray, "p 6"]
@@ -40,14 +85,7 @@ class Places:
 
     @staticmethod
     def near(samples: Sequence[Poses], truth: Poses, radius_m: float, radius_rad: float) -> Places:
-        """The places of each image that reach so far, at most eight, those nearest to its true pose.
-
-        Args:
-            samples: Posterior samples of each image, world_from_camera, (m,) each.
-            truth: True poses, world_from_camera, (n,).
-            radius_m: Reach of a place, metres.
-            radius_rad: Likewise, radians.
-        """
+        """The places of each image by this reach in metres and radians: the eight nearest to its true pose."""
         parts = []
         for poses in samples:
             label, count = find_places(poses, radius_m, radius_rad)
@@ -66,7 +104,7 @@ class Places:
         return Places(residual[kept], covariance[kept], fraction[kept], image[kept])
 
     def grown(self, errors: ErrorModel, score: Float64[np.ndarray, " n"]) -> Places:
-        """The same as if every image were as familiar as those that the model is about: g⁻³ t(ξ/√g; Σ) is t(ξ; g Σ)."""
+        """The places as if every image had the ordinary score: g⁻³ t(ξ/√g; Σ) is t(ξ; g Σ)."""
         growth = np.array([errors.growth(float(value)) for value in score])[self.image]
         return replace(self, residual=self.residual / np.sqrt(growth)[:, None], fraction=self.fraction / growth**3)
 
@@ -77,7 +115,7 @@ class Places:
         return np.logaddexp(np.log(outliers) + errors.flat_log_density, np.log1p(-outliers) + log_places)
 
     def evidence(self, errors: ErrorModel) -> Float64[np.ndarray, " n"]:
-        """Log of how possible each image finds the true place, as the filter asks it (`associate`)."""
+        """Log of how possible each image finds the true place, as in `associate`."""
         covariance = errors.covariance(self.covariance)
         solved = np.linalg.solve(covariance, self.residual[..., None])[..., 0]
         squared = np.einsum("pi,pi->p", self.residual, solved)
@@ -86,9 +124,9 @@ class Places:
         return np.log(errors.outlier_probability + (1.0 - errors.outlier_probability) * possible)
 
     def residuals(self, errors: ErrorModel) -> tuple[Float64[np.ndarray, "n 6"], Bool[np.ndarray, " n"]]:
-        """Errors of the likeliest places in standard deviations, and which images say more than a flat density.
+        """Errors of the likeliest places in standard deviations, and which images beat a flat density.
 
-        Large errors are made smaller by as much as the image counts less: by the weight of a Student t distribution.
+        Large errors are reduced by the weight of a Student t distribution.
         """
         best = self._likeliest(errors)
         unit = np.asarray(self.typical_std(errors))
@@ -103,23 +141,17 @@ class Places:
         return normal * np.sqrt(np.minimum(weight, 1.0))[:, None], log_places + log_odds > errors.flat_log_density
 
     def coverage(self, errors: ErrorModel) -> tuple[float, float, float]:
-        """Fraction of the images whose true pose is in the 50, 90 and 95 % region of its likeliest place."""
+        """Fractions of the images whose true pose is in the 50, 90 and 95 % region of its likeliest place."""
         squared = self._squared(errors)
         fifty, ninety, most = (float((squared <= 6.0 * fisher.ppf(q, 6, errors.tail)).mean()) for q in REGIONS)
         return fifty, ninety, most
 
     def lacking(self, errors: ErrorModel, region: float) -> float:
-        """By how much variances must grow, 1 or more, so that a region of the likeliest place holds what its name says.
-
-        Args:
-            errors: The error model.
-            region: Probability of the region.
-        """
+        """Factor ≥ 1 of the variances by which the region of this probability holds as many true poses."""
         reached = float(np.quantile(self._squared(errors), region, method="higher"))
         return max(1.0, reached / float(6.0 * fisher.ppf(region, 6, errors.tail)))
 
     def _squared(self, errors: ErrorModel) -> Float64[np.ndarray, " n"]:
-        """Squared distance of the true pose from the likeliest place, in standard deviations, of each image."""
         best = self._likeliest(errors)
         covariance = errors.covariance(self.covariance[best])
         solved = np.linalg.solve(covariance, self.residual[best][..., None])[..., 0]
@@ -131,7 +163,6 @@ class Places:
         return as_six(np.sqrt(np.median(variances, axis=0)))
 
     def _likeliest(self, errors: ErrorModel) -> Int64[np.ndarray, " n"]:
-        """Index of the place of each image in which its true pose is likeliest."""
         order = np.lexsort([-self._log_terms(errors), self.image])
         return order[np.flatnonzero(np.diff(self.image, prepend=-1))]
 
@@ -148,6 +179,6 @@ class Places:
 
 
 def as_six(values: Float64[np.ndarray, "6"]) -> Six:
-    """Six numbers as the tuple that an `ErrorModel` has."""
+    """Six numbers as a tuple of an `ErrorModel`."""
     a, b, c, d, e, f = (float(value) for value in values)
     return a, b, c, d, e, f

@@ -1,4 +1,4 @@
-"""What it says of a place that landmarks verify it, found on held-out images."""
+"""Weights of places that landmarks verify, fitted on held-out images."""
 
 from __future__ import annotations
 
@@ -30,14 +30,10 @@ _ELSEWHERE = 0.5, 10.0  # images that were seen before: in so many of so many an
 
 @dataclass(frozen=True)
 class SeenPlaces:
-    """The places of one held-out image of which landmarks verify some.
+    """The places of one held-out image with verified poses.
 
-    Attributes:
-        inliers: Landmarks that verify each, (j,).
-        proposed: Weight that the network gives to the place of each, (j,).
-        right: Which of these are at the true pose, (j,).
-        others: Weight of all places of the network.
-        others_right: That of those where the true pose is.
+    Of each pose: its landmarks, the network's weight of its place, and whether it is at the true pose. Of the network's
+    places: the weight of all, and of those at the true pose.
     """
 
     inliers: Float64[np.ndarray, " j"]
@@ -50,15 +46,7 @@ class SeenPlaces:
     def of(
         posterior: PosePosterior, found: Sequence[VerifiedPose], truth: Poses, *, near_m: float, near_rad: float
     ) -> SeenPlaces:
-        """The places of an image.
-
-        Args:
-            posterior: What the network says.
-            found: The poses that landmarks verify, one at least.
-            truth: The true pose.
-            near_m: A verified pose is at the true one within so many metres,
-            near_rad: And radians.
-        """
+        """The places of an image; a verified pose within `near_m` and `near_rad` of the true one is right."""
         poses = Poses.stack([each.world_from_camera for each in found])
         metres, radians = poses.distance(truth)
         offset = posterior.means.between(truth).log()
@@ -78,7 +66,7 @@ class SeenPlaces:
         return float(scores[self.right].sum() / (scores.sum() + self.others + settings.nothing))
 
     def log_likelihood(self, settings: Verification) -> float:
-        """Log of the probability that the true pose is where it is: at a verified place, else at one that is not."""
+        """Log probability of the true pose: at a verified place, else at another."""
         scores = settings.scores(self.inliers, self.proposed)
         right = float(scores[self.right].sum()) if self.right.any() else self.others_right
         total = float(scores.sum()) + self.others + settings.nothing
@@ -86,15 +74,7 @@ class SeenPlaces:
 
 
 def fit_reach(left_out: LeftOut, effective: float) -> Verification:
-    """Where landmarks can verify an image's place, and how often they verify another where they cannot.
-
-    Args:
-        left_out: Training images, localized without what was taken near them in time.
-        effective: How many independent images they are worth.
-
-    Returns:
-        Settings of which `reach` and `elsewhere` are found.
-    """
+    """Settings with `reach` and `elsewhere` fitted to training images, worth `effective` independent ones."""
     right = np.zeros(len(left_out.found), bool)
     right[[row for row, _ in left_out.right]] = True
     worth = min(1.0, effective / max(len(right), 1))
@@ -112,12 +92,9 @@ def fit_reach(left_out: LeftOut, effective: float) -> Verification:
 
 
 def fit_verification(images: Sequence[SeenPlaces], effective: float, before: Verification) -> Verification:
-    """What a verified place is worth, by maximum posterior probability.
+    """The weights of verified places of held-out images, worth `effective` independent ones, of maximum posterior.
 
-    Args:
-        images: Held-out images of which landmarks verify some place.
-        effective: How many independent images they are worth.
-        before: What is believed before; what is not found here stays as it is there.
+    Settings that are not fitted are kept.
     """
     if not images:
         return before
@@ -137,19 +114,14 @@ def fit_verification(images: Sequence[SeenPlaces], effective: float, before: Ver
 def evidence(
     images: Sequence[SeenPlaces], settings: Verification, outlier_probability: float, possible_fraction: float
 ) -> Float64[np.ndarray, " n"]:
-    """Log of how possible each image finds the true place, as the filter asks it where the map shows that."""
+    """Log of how possible each image finds the true place, as in the filter."""
     support = np.array([each.support(settings) for each in images])
     possible = support / (support + possible_fraction)
     return np.log(outlier_probability + (1.0 - outlier_probability) * possible)
 
 
 def none_right(images: Sequence[SeenPlaces], effective: float) -> float:
-    """Probability that none of the places that landmarks verify in an image is the right one.
-
-    Args:
-        images: Held-out images of which landmarks verify some place.
-        effective: How many independent images they are worth.
-    """
+    """Probability that no verified place of an image is right, by images worth `effective` independent ones."""
     worth = min(1.0, effective / max(len(images), 1))
     wrong = worth * sum(1 for each in images if not each.right.any())
     wrong_before, before = _NONE_RIGHT

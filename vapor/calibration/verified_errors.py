@@ -1,4 +1,4 @@
-"""How poses err that landmarks verify: training images are localized without those taken near them in time."""
+"""Errors of verified poses: training images are localized without those taken near them in time."""
 
 from __future__ import annotations
 
@@ -11,11 +11,16 @@ from jaxtyping import Bool, Float64, Int64
 
 from filtering.error_model import ErrorModel
 from filtering.se3 import Poses
-from vapor.calibration.image_errors import LEAST_IMAGES, cautious
-from vapor.calibration.lasting_errors import LastingErrors, effective_images
-from vapor.calibration.maximum_likelihood import most_likely_errors
+from vapor.calibration.error_correlation import (
+    LEAST_PAIRS,
+    ErrorCorrelation,
+    Travel,
+    effective_images,
+    fit_decay,
+    pairs_of_images,
+)
+from vapor.calibration.image_errors import LEAST_IMAGES, cautious, most_likely_errors
 from vapor.calibration.places import Places
-from vapor.calibration.travel import LEAST_PAIRS, Travel, pairs_of_images
 from vapor.checkpoints.scene_scale import spaced
 from vapor.landmarks.build import BuiltMap
 from vapor.landmarks.features import Features
@@ -23,16 +28,16 @@ from vapor.landmarks.localize import LandmarkLocalizer, VerifiedPose
 from vapor.landmarks.tracks import view_change
 
 _FOLDS = 5
-_STRETCHES = 16.0, 8.0, 4.0, 2.0, 1.0  # how much views change over what is hidden at a time: 1 is half a depth, or 25°
+_STRETCHES = 16.0, 8.0, 4.0, 2.0, 1.0  # change of the view over a hidden part: 1 is half a depth, or 25°
 _END = 0.25  # of a stretch, at either end: only images in between are localized
 _ENOUGH = 0.5  # of the images verified where they are: else less is hidden
 _IMAGES, _TRIED = 200, 40  # that are localized, and by which it is found how much can be hidden
 _DEPTH_RAD = 2.0 * np.deg2rad(25.0)  # a turn that changes the view as much as a depth moved
 _LENGTHS, _USUAL_LENGTH = np.geomspace(0.05, 3.0, 13).tolist(), 0.4  # over which errors last, in depths
-_LEAST_LASTING, _MOST_LASTING = 0.5, 0.95  # of the variance: what is new with each image is little of it
-_NONE_RIGHT = 0.05  # of the images, which held-out ones then tell
+_LEAST_LASTING, _MOST_LASTING = 0.5, 0.95  # of the variance
+_NONE_RIGHT = 0.05  # of the images, before held-out ones are seen
 _HELD = 0.9  # of the images at least have their true pose in the region of this name
-_RIGHT = 0.5, 0.35  # depths and radians: what is further off is another place
+_RIGHT = 0.5, 0.35  # depths and radians, beyond which a pose is of another place
 
 Advance = Callable[[int, int], None]
 QueryFeatures = Callable[[int], Features]
@@ -40,14 +45,14 @@ QueryFeatures = Callable[[int], Features]
 
 @dataclass(frozen=True)
 class LeftOut:
-    """Training images, localized by a map without what was taken near them in time.
+    """Training images, localized by a map without those near them in time.
 
     Attributes:
-        image: Which images, in order of time, (n,).
-        found: The poses that landmarks verify, of each.
+        image: Number of each, in order of time.
+        found: Verified poses of each.
         truth: True poses, (n,).
-        view_distance: How different each is from the likest view of the map, see `MappedViews.distances`, (n,).
-        depth_m: How far away things are, metres.
+        view_distance: Distance from the most similar view of the map, see `MappedViews.distances`.
+        depth_m: Median distance of the scene, metres.
     """
 
     image: Int64[np.ndarray, " n"]
@@ -58,47 +63,43 @@ class LeftOut:
 
     @cached_property
     def right(self) -> tuple[tuple[int, VerifiedPose], ...]:
-        """Rows of the images of which a pose of the right place was verified, and of each the nearest such one."""
+        """Rows of the images with a verified pose of the right place, and the nearest such pose of each."""
         rows = []
         for row, found in enumerate(self.found):
-            if not found:
-                continue
-            metres, radians = Poses.stack([each.world_from_camera for each in found]).distance(self.truth[row])
-            nearest = int(np.argmin(metres))
-            if self._is_right(metres[nearest], radians[nearest]):
-                rows.append((row, found[nearest]))
+            if found:
+                metres = Poses.stack([each.world_from_camera for each in found]).distance(self.truth[row])[0]
+                nearest = found[int(np.argmin(metres))]
+                if self._is_right(nearest, row):
+                    rows.append((row, nearest))
         return tuple(rows)
 
     @property
     def verified(self) -> float:
-        """Fraction of the images of which a pose of the right place was verified."""
+        """Fraction of the images with a verified pose of the right place."""
         return len(self.right) / max(len(self.found), 1)
 
     @property
     def alike(self) -> Bool[np.ndarray, " n"]:
-        """Of which images landmarks verify another place, whether beside the right one or not, (n,)."""
-        return np.array(
-            [any(not self._is_at(each, row) for each in found) for row, found in enumerate(self.found)], bool
-        )
+        """Which images have a verified pose of another place, (n,)."""
+        wrong = [not all(self._is_right(each, row) for each in found) for row, found in enumerate(self.found)]
+        return np.array(wrong, bool)
 
     @property
     def elsewhere(self) -> float:
-        """Fraction of the images of which a pose of another place was verified by more landmarks than any."""
-        away = [row for row, found in enumerate(self.found) if found and not self._is_at(found[0], row)]
-        return len(away) / max(len(self.found), 1)
+        """Fraction of the images whose verified pose of most landmarks is of another place."""
+        wrong = [found for row, found in enumerate(self.found) if found and not self._is_right(found[0], row)]
+        return len(wrong) / max(len(self.found), 1)
 
     @property
     def errors(self) -> tuple[Float64[np.ndarray, " k"], Float64[np.ndarray, " k"]]:
-        """Of the images in `right`: metres and radians."""
+        """Errors of the poses in `right`: metres and radians."""
         if not self.right:
             return np.empty(0), np.empty(0)
         poses = Poses.stack([pose.world_from_camera for _, pose in self.right])
         return poses.distance(self.truth[np.array([row for row, _ in self.right])])
 
-    def _is_at(self, found: VerifiedPose, row: int) -> bool:
-        return self._is_right(*map(float, found.world_from_camera.distance(self.truth[row])))
-
-    def _is_right(self, metres: float, radians: float) -> bool:
+    def _is_right(self, found: VerifiedPose, row: int) -> bool:
+        metres, radians = found.world_from_camera.distance(self.truth[row])
         return bool(metres < _RIGHT[0] * self.depth_m and radians < _RIGHT[1])
 
 
@@ -112,19 +113,19 @@ def leave_out(
     stretches: Sequence[float] = _STRETCHES,
     advance: Advance = lambda done, total: None,
 ) -> LeftOut:
-    """Localize training images without those near them in time: as many images as asked for, evenly spaced.
+    """Localize `most` training images, evenly spaced, without those near them in time.
 
-    As much is hidden around an image as leaves landmarks of the right place for half of the images: in use, all were
-    seen another time. What looks alike elsewhere does not count.
+    Around an image is hidden as much as leaves landmarks of the right place for half of the images: in use, all were
+    seen at another time.
 
     Args:
         built: The map of all of them.
-        features: Gives those of a training image by its number, from `query_features`.
+        features: Gives the features of a training image by its number, from `query_features`.
         poses: True poses, world_from_camera, (n,).
-        sequence: Index of the sequence that each is from, (n,).
-        most: How many images are localized.
-        stretches: How much is hidden around each, the most that leaves enough is taken: 1 is half a depth, or 25°.
-        advance: Called with the number of images done and of all.
+        sequence: Index of the sequence of each, (n,).
+        most: Number of localized images.
+        stretches: Lengths to hide, of which the longest that leaves enough is taken: 1 is half a depth, or 25°.
+        advance: Called with the number of images done, and of all.
     """
     stretch = np.zeros(len(poses), np.int64)
     middle = np.arange(len(poses))
@@ -147,7 +148,6 @@ def _without(
     chosen: Int64[np.ndarray, " k"],
     advance: Advance,
 ) -> LeftOut:
-    """Localize images without their stretches, a fifth of all stretches at a time."""
     found: dict[int, tuple[VerifiedPose, ...]] = {}
     distance = np.zeros(len(poses))
     for fold in range(_FOLDS):
@@ -168,10 +168,7 @@ def _without(
 def _stretches(
     poses: Poses, sequence: Int64[np.ndarray, " n"], depth_m: float, length: float
 ) -> tuple[Int64[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
-    """Of each image the number of its stretch, over which the view changes by so much, and whether it is in the middle.
-
-    What lies between the middle and the ends of a stretch keeps images of nearly the same time apart.
-    """
+    """The stretch of each image, over which the view changes by `length`, and whether the image is in its middle."""
     change = np.cumsum(view_change(poses, depth_m))
     begins = np.flatnonzero(np.diff(sequence, prepend=sequence[:1] - 1))
     first = begins[np.searchsorted(begins, np.arange(len(poses)), side="right") - 1]
@@ -185,16 +182,9 @@ def _stretches(
 
 @dataclass(frozen=True)
 class VerifiedErrors:
-    """How verified poses err.
+    """Errors of verified poses in the camera's frame, of the images of the fit.
 
-    Attributes:
-        errors: The model: metres and radians in the camera's frame, see `ErrorModel`.
-        images: How many images it was found on.
-        effective_images: How many independent ones are worth as much.
-        elsewhere: Fraction of the images of which a pose of another place was verified by more landmarks than any.
-        median_m: Error of the verified pose that is of the right place, metres.
-        median_rad: Likewise, radians.
-        coverage: Fraction of the images whose true pose is in the 50, 90 and 95 % region.
+    `elsewhere` is that of `LeftOut`, medians are of poses of the right place, `coverage` that of three regions.
     """
 
     errors: ErrorModel
@@ -212,13 +202,9 @@ def fit_verified_errors(
     sequence: Int64[np.ndarray, " n"],
     flat_log_density: float,
 ) -> VerifiedErrors | None:
-    """How the poses err that are of the right place; None where there are too few to tell.
+    """Errors of the poses of the right place; None where there are too few.
 
-    Args:
-        left_out: Images localized without what is near them in time.
-        poses: True poses of all images, between which the camera travelled, (n,).
-        sequence: Index of the sequence of each of these, (n,).
-        flat_log_density: Of poses spread evenly over the map, per m³ rad³.
+    `poses` and `sequence` are those of all images; `flat_log_density` of poses spread evenly over the map, per m³ rad³.
     """
     rows, depth_m = left_out.right, left_out.depth_m
     if len(rows) < LEAST_IMAGES:
@@ -232,10 +218,10 @@ def fit_verified_errors(
     errors = replace(ErrorModel(flat_log_density=flat_log_density), **found.settings(depth_m))
     residuals, usable = places.residuals(errors)
     travel = Travel.along(poses, sequence)[left_out.image[which]]
-    lasting = _lasting(residuals, usable, travel, depth_m)
+    lasting = _error_correlation(residuals, usable, travel, depth_m)
     effective = effective_images(travel, lasting)
     errors = cautious(errors, effective)
-    # What the likeliest errors take for outliers, up to half of the images, is no other place: all of these are right.
+    # Up to half of the images may look like outliers of the likeliest errors, but all of these places are right.
     errors = errors.inflated(places.lacking(errors, _HELD))
     errors = replace(
         errors,
@@ -249,26 +235,19 @@ def fit_verified_errors(
     return VerifiedErrors(errors, len(rows), effective, left_out.elsewhere, metres, radians, places.coverage(errors))
 
 
-def _lasting(
+def _error_correlation(
     residual: Float64[np.ndarray, "n 6"], usable: Bool[np.ndarray, " n"], travel: Travel, depth_m: float
-) -> LastingErrors:
-    """How long errors last, by least squares of their products: as long as the view stays the same.
-
-    How many metres change a view as much as how many radians is known from how far away things are.
-    """
-    unit = LastingErrors(1.0, depth_m, _DEPTH_RAD)
+) -> ErrorCorrelation:
+    unit = ErrorCorrelation(1.0, depth_m, _DEPTH_RAD)
     first, second = pairs_of_images(travel, usable)
     if len(first) < LEAST_PAIRS:
-        return LastingErrors(_MOST_LASTING, _USUAL_LENGTH * depth_m, _USUAL_LENGTH * _DEPTH_RAD)
-    apart = unit.lengths(travel.metres[second] - travel.metres[first], travel.radians[second] - travel.radians[first])
+        return ErrorCorrelation(_MOST_LASTING, _USUAL_LENGTH * depth_m, _USUAL_LENGTH * _DEPTH_RAD)
+    apart = unit.between(travel, first, second)
     products = np.vecdot(residual[first], residual[second]) / max(float(np.square(residual).sum(axis=1).mean()), 1e-300)
     weights = 1.0 / (second - first)  # neighbours as much as all that are ten times as far from each other
     best, found = np.inf, unit
     for length in _LENGTHS:
-        kernel = np.exp(-apart / length)
-        fraction = float((weights * kernel * products).sum() / max(float((weights * np.square(kernel)).sum()), 1e-300))
-        fraction = float(np.clip(fraction, _LEAST_LASTING, _MOST_LASTING))
-        cost = float((weights * np.square(products - fraction * kernel)).sum())
+        cost, fraction = fit_decay(apart / length, products, weights, (_LEAST_LASTING, _MOST_LASTING))
         if cost < best:
-            best, found = cost, LastingErrors(fraction, length * depth_m, length * _DEPTH_RAD)
+            best, found = cost, ErrorCorrelation(fraction, length * depth_m, length * _DEPTH_RAD)
     return found

@@ -14,9 +14,8 @@ from filtering.errors import VaporTrackError, quoted
 from filtering.se3 import Poses
 from vapor.checkpoints.stored_config import parse_camera, parse_config
 from vapor.landmarks.features import SIFT_SIZE, SIZE
-from vapor.landmarks.landmark_map import LandmarkMap
+from vapor.landmarks.landmark_map import LandmarkMap, ViewCamera
 from vapor.landmarks.verify import Landmarks, Verification
-from vapor.landmarks.view_camera import ViewCamera
 from vapor.regressors.familiarity import Familiarity
 from vapor.tensor_files import FLOATS, CheckpointError, StoredTensor
 

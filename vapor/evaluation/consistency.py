@@ -16,7 +16,7 @@ from filtering.se3 import Poses
 from sequences.frame import Trajectory
 from vapor.evaluation.floors import once_on_floor
 from vapor.evaluation.trajectory import SURE, associate, is_right
-from vapor.tracking.belief import Belief
+from vapor.tracking.loop import Belief
 
 REGIONS: Mapping[str, float] = MappingProxyType({"50%": 0.5, "90%": 0.9, "95%": 0.95})
 """Regions of a mode's Gaussian, by the probability that they hold."""

@@ -13,11 +13,11 @@ from jaxtyping import UInt8
 
 from filtering.se3 import Poses
 from sequences.frame import Camera, Frame
-from vapor.calibration.camera_fit import CameraFit, fit_camera, typical_error_m
+from vapor.calibration.camera_fit import CameraFit, fit_camera
 from vapor.landmarks.build import gather
+from vapor.landmarks.landmark_map import ViewCamera
 from vapor.landmarks.localize import query_features
 from vapor.landmarks.verify import grey_view
-from vapor.landmarks.view_camera import ViewCamera
 from vapor.training_data.ground import near_scale_m
 from vapor.training_data.load import shrunk, usual_camera
 
@@ -79,7 +79,7 @@ class CameraViews:
             return unknown("no two images show the same from two sides")
         features = cache(lambda image: query_features(views[image].grey))
         run = np.cumsum(np.diff([view.number for view in views], prepend=-1) > 1)
-        fit = fit_camera(material, start, lambda built: typical_error_m(built, features, poses, run), known=is_stated)
+        fit = fit_camera(material, start, features, poses, run, known=is_stated)
         if fit is None:
             return unknown("too few points are seen from two sides")
         if fit.by_stated is None and fit.by_found is None:
@@ -111,7 +111,7 @@ class CameraCheck:
         """The finding, in a sentence without its end."""
         if self.fit is None or self.camera is None:
             return f"nothing can be said: {self.unknown}"
-        return self.fit.said(self.camera.width)
+        return self.fit.in_words(self.camera.width)
 
     @property
     def found(self) -> Camera | None:

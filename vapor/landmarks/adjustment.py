@@ -14,28 +14,23 @@ from jaxtyping import Float64
 from scipy.sparse.linalg import spsolve
 
 from filtering.se3 import Poses
+from vapor.landmarks.landmark_map import ViewCamera
 from vapor.landmarks.points import Sightings, by_point, by_pose, seen
-from vapor.landmarks.view_camera import ViewCamera
 
 _ROUNDS = 8
 _PIXEL = 1.0  # scale of the robust cost
 _DAMPING = 1e-4
 _INTRINSICS_STD = np.array([1.0, 0.03, 0.03, 0.3, 0.5])
-"""What is known of a camera before: log focal length, principal point in image widths, k₁, k₂."""
+"""Prior standard deviations of a camera: log focal length, principal point in image widths, k₁, k₂."""
 _FIXED = 1e9  # information, per px²
 _DENSE = 3000  # unknowns, up to which a dense solution is faster
 
 
 @dataclass(frozen=True)
 class Adjusted:
-    """What a bundle adjustment found.
+    """Camera, poses (n,) and points of a bundle adjustment, and the reprojection error of each sighting, pixels.
 
-    Attributes:
-        camera: The camera.
-        camera_from_world: Poses of the views, batch (n,).
-        points: Metres, (p, 3).
-        errors: Distance of each sighting from where its point is seen, pixels, (m,).
-        focal_std: Standard deviation of the logarithm of the focal length, as far as pixels tell.
+    `focal_std` is the standard deviation of the logarithm of the focal length, from pixels alone.
     """
 
     camera: ViewCamera
@@ -54,15 +49,10 @@ def adjusted(
     pose_std: tuple[float, float],
     principal_point: bool = True,
 ) -> Adjusted:
-    """Fit camera, poses and points to what views see.
+    """Fit camera, poses of n views and points to their sightings, from initial ones.
 
-    Args:
-        camera: To start from.
-        camera_from_world: Stated poses of n views.
-        points: To start from.
-        of: Sightings, m.
-        pose_std: How far poses may be from stated ones, standard deviations, metres and radians.
-        principal_point: Whether that of the camera is found, too, or stays.
+    `pose_std` are the standard deviations of the stated poses, metres and radians. The principal point stays where
+    `principal_point` is false.
     """
     count, stated = len(camera_from_world), camera_from_world
     first, values = camera, np.zeros(5)
@@ -82,7 +72,8 @@ def adjusted(
         camera = _with_intrinsics(first, values)
         if np.abs(step[-5:] * np.sqrt(prior)).max() < 1e-5:
             break
-    errors = np.linalg.norm(_projected(camera, camera_from_world, points, of) - of.pixels, axis=1)
+    rays = seen(camera_from_world[of.view], points[of.point]).at
+    errors = np.linalg.norm(camera.pixels(rays) - of.pixels, axis=1)
     return Adjusted(camera, camera_from_world, points, errors, float(np.sqrt(np.linalg.inv(information)[0, 0])))
 
 
@@ -93,23 +84,11 @@ def _with_intrinsics(first: ViewCamera, values: Float64[np.ndarray, "5"]) -> Vie
     return ViewCamera(pinhole, first.k1 + k1, first.k2 + k2)
 
 
-def _projected(
-    camera: ViewCamera, poses: Poses, points: Float64[np.ndarray, "p 3"], of: Sightings
-) -> Float64[np.ndarray, "m 2"]:
-    at = seen(poses[of.view], points[of.point]).at
-    squared = np.square(at).sum(axis=1, keepdims=True)
-    return camera.focal * (1.0 + squared * (camera.k1 + camera.k2 * squared)) * at + camera.centre
-
-
 @dataclass(frozen=True)
 class _System:
-    """Normal equations of one Gauss-Newton step, weighted by how well each sighting fits (a Cauchy cost).
+    """Normal equations of one Gauss-Newton step, with Cauchy weights of the sightings.
 
-    Attributes:
-        cameras: Jacobian by poses (6 each) and intrinsics (5), (2m, c).
-        of_points: Jacobian by points, (2m, 3p).
-        residual: (2m,).
-        blocks: Information of each point alone, (p, 3, 3).
+    `cameras` is the Jacobian by poses (6 each) and intrinsics (5), `blocks` the information of each point alone.
     """
 
     cameras: sparse.csr_matrix
@@ -153,12 +132,7 @@ class _System:
     def solved(
         self, prior: Float64[np.ndarray, " c"], towards: Float64[np.ndarray, " c"]
     ) -> tuple[Float64[np.ndarray, " c"], Float64[np.ndarray, "p 3"], Float64[np.ndarray, "5 5"]]:
-        """Steps of cameras and points, and what is known of the intrinsics where poses are as they are.
-
-        Args:
-            prior: Information of the prior of each camera's number.
-            towards: Its gradient.
-        """
+        """Steps of cameras and points, and information of the intrinsics, given information and gradient of a prior."""
         count = len(self.blocks)
         scale = np.trace(self.blocks, axis1=1, axis2=2)[:, None, None] + 1e-12
         inverse = sparse.bsr_matrix(
@@ -176,7 +150,6 @@ class _System:
 
 
 def _sparse(blocks: Float64[np.ndarray, "m 2 k"], columns: np.ndarray, width: int) -> sparse.csr_matrix:
-    """A matrix of two rows a block, whose entries stand in these columns, (m, k)."""
     count, _, size = blocks.shape
     indices = np.repeat(columns, 2, axis=0).ravel()
     return sparse.csr_matrix(

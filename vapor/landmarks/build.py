@@ -15,12 +15,18 @@ from filtering.se3 import Poses
 from sequences.datasets.seen_points import SeenPoints
 from sequences.frame import Camera
 from vapor.landmarks.adjustment import Adjusted, adjusted
-from vapor.landmarks.features import Basis, Features, extract, stored, unit_vectors
-from vapor.landmarks.given_points import at_given_points, with_given_points
-from vapor.landmarks.landmark_map import LandmarkMap, summed_up
+from vapor.landmarks.features import Basis, Features, extract, mutual_matches, stored, unit_vectors
+from vapor.landmarks.landmark_map import LandmarkMap, ViewCamera, summed_up
 from vapor.landmarks.points import Sightings, parallax, seen, triangulated
-from vapor.landmarks.tracks import Matches, find_sightings, matches_of, neighbours, typical_depth_m
-from vapor.landmarks.view_camera import ViewCamera
+from vapor.landmarks.tracks import (
+    RATIO,
+    Matches,
+    at_given_points,
+    find_sightings,
+    neighbours,
+    typical_depth_m,
+    with_given_points,
+)
 
 VIEW_PX = 320
 """Longer edge of the images that features are found in."""
@@ -49,16 +55,16 @@ View = Callable[[int], UInt8[np.ndarray, "h w"]]
 
 @dataclass(frozen=True)
 class Material:
-    """What a map is made of: the key images among n training images, and their features.
+    """The key images among n training images, and their features.
 
     Attributes:
-        stated: The camera that is stated for the images, at their size; None where none is.
-        key: Which of the n images are key images, in order, (k,).
-        poses: world_from_camera of the key images, batch (k,).
+        stated: Stated camera of the images, at their size; None without one.
+        key: Numbers of the key images, in order.
+        poses: world_from_camera of the key images, (k,).
         features: Of each, in the basis.
-        basis: In which features are described.
-        matches: Of pairs of key images, by their place in `key`, that may show the same: which features match.
-        depth_m: How far away things are, median, metres.
+        basis: Basis of the descriptors.
+        matches: Matching features of pairs of key images, by their place in `key`.
+        depth_m: Median distance of the scene, metres.
     """
 
     stated: Camera | None
@@ -69,23 +75,10 @@ class Material:
     matches: Matches
     depth_m: float
 
-    @cached_property
-    def descriptors(self) -> Float32[np.ndarray, "n d"]:
-        """Of all features, image by image."""
-        return np.concatenate([each.descriptors for each in self.features])
-
 
 @dataclass(frozen=True)
 class BuiltMap:
-    """A map with what it was made of.
-
-    Attributes:
-        material: What it was made of.
-        camera: The camera that took the images, as it is taken to be.
-        points: Metres, (p, 3).
-        sightings: Of these points.
-        agreeing: Fraction of the matches whose rays meet within 1.5 pixels.
-    """
+    """A map of points and its material; `agreeing` is the fraction of matches whose rays meet."""
 
     material: Material
     camera: ViewCamera
@@ -95,34 +88,27 @@ class BuiltMap:
 
     @cached_property
     def landmarks(self) -> LandmarkMap:
-        """The map as it is used."""
+        """The map for localization."""
         return self._map(np.ones(len(self.material.key), bool), self.points, self.sightings)
 
     def hiding(self, hidden: Bool[np.ndarray, " k"]) -> LandmarkMap:
-        """The map without some of its key images: no point is seen by them, and where others are they do not say.
+        """The map without the hidden key images: their sightings are dropped, and the points triangulated again.
 
-        Which features match, the basis and the camera are those of all images.
-
-        Args:
-            hidden: Which key images.
+        Matches, basis and camera are those of all images.
         """
         touched = np.zeros(len(self.points), bool)
         touched[self.sightings.point[hidden[self.sightings.view]]] = True
         left, kept = self.sightings.kept(~hidden[self.sightings.view])
         points = self.points[kept].copy()
-        anew = np.flatnonzero(touched[kept])
-        if len(anew):
-            number = np.full(len(points), -1)
-            number[anew] = np.arange(len(anew))
-            mask = number[left.point] >= 0
-            of = Sightings(left.view[mask], number[left.point[mask]], left.feature[mask], left.pixels[mask])
+        of, again = left.kept(touched[kept][left.point], least=1)
+        if len(again):
             poses = self.material.poses.inverse()
-            points[anew] = triangulated(poses, self.camera.rays(of.pixels), of)
-            fine = (parallax(poses, points[anew], of) >= _LEAST_PARALLAX) & np.isfinite(points[anew]).all(axis=1)
+            points[again] = triangulated(poses, self.camera.rays(of.pixels), of)
             usable = np.ones(len(points), bool)
-            usable[anew] = fine
-            left, again = left.kept(usable[left.point])
-            points = points[again]
+            usable[again] = parallax(poses, points[again], of) >= _LEAST_PARALLAX
+            usable[again] &= np.isfinite(points[again]).all(axis=1)
+            left, kept = left.kept(usable[left.point])
+            points = points[kept]
         return self._map(~hidden, points, left)
 
     def _map(
@@ -135,12 +121,15 @@ class BuiltMap:
         begins = np.searchsorted(view, np.arange(used.sum() + 1))
         words, summary_axes, summaries = self._words
         poses = material.poses[np.flatnonzero(used)]
+        seen_as = np.concatenate([each.descriptors for each in material.features])[sightings.feature]
+        sums = [np.bincount(sightings.point, column, minlength=len(points)) for column in seen_as.T]
+        descriptors = unit_vectors(np.stack(sums, axis=1).astype(np.float32))
         return LandmarkMap(
             material.stated,
             self.camera,
             material.depth_m,
             points.astype(np.float32),
-            stored(_mean_descriptors(material.descriptors, sightings, len(points))),
+            stored(descriptors),
             poses.rotation.astype(np.float32),
             poses.translation.astype(np.float32),
             begins.astype(np.int32),
@@ -154,7 +143,6 @@ class BuiltMap:
 
     @cached_property
     def _words(self) -> tuple[Float32[np.ndarray, "w d"], Float32[np.ndarray, "v k"], Float32[np.ndarray, "n k"]]:
-        """Typical descriptors, axes of what images look like as a whole, and that of each key image."""
         rng = np.random.default_rng(0)
         sampled = _sampled(self.material.features, rng)
         count = min(_WORDS, len(sampled))
@@ -185,9 +173,9 @@ def gather(
         poses: world_from_camera of n of them.
         camera: Their camera, at their size.
         stated: Whether that is stated, or a guess.
-        scale_m: So much distance is as much of a difference as a radian, for a start.
-        given: Points of a reconstruction that a training image shows, by its number; None for none.
-        advance: Called with the number of key images done and of all.
+        scale_m: Initial distance that changes a view as much as a radian.
+        given: Gives the points of a reconstruction in a training image, by its number; None without any.
+        advance: Called with the number of key images done, and of all.
     """
     count = _FEATURES
 
@@ -214,21 +202,18 @@ def gather(
         reduced.append(basis.reduced(extract(view(image), count, longest=VIEW_PX) if many else raw(image)))
     own = poses[key]
     pairs = {(min(i, j), max(i, j)) for i, others in neighbours(own, depth_m) for j in others.tolist()}
-    matches, at = matches_of(reduced, sorted(pairs)), ViewCamera(camera)
+    descriptors = [each.descriptors for each in reduced]
+    matches = {(i, j): mutual_matches(descriptors[i], descriptors[j], RATIO) for i, j in sorted(pairs)}
+    at = ViewCamera(camera)
     placed = [at_given_points(each, given(image), at) for each, image in zip(reduced, key.tolist(), strict=True)]
     matches = with_given_points(matches, [points for _, points in placed])
     return Material(camera if stated else None, key, own, tuple(each for each, _ in placed), basis, matches, depth_m)
 
 
 def build(material: Material, camera: ViewCamera) -> BuiltMap | None:
-    """Find the points that key images show; None where there are hardly any, or poses do not fit.
+    """The points that key images show; None where there are hardly any, or poses do not fit.
 
-    Poses are taken as they are stated: with poses adjusted to what images see, others are localized no better, as what
-    is right is said by the stated ones.
-
-    Args:
-        material: Key images and their features.
-        camera: That took them.
+    Poses are kept as stated: adjusted poses localized no better, as errors are measured against the stated ones.
     """
     sightings, errors = find_sightings(
         material.poses, material.features, camera, material.matches, depth_m=material.depth_m, most_px=_MOST_PX
@@ -248,13 +233,11 @@ def build(material: Material, camera: ViewCamera) -> BuiltMap | None:
 
 
 def camera_found(material: Material, stated: ViewCamera) -> Adjusted | None:
-    """The camera that fits the images and their poses, found in some of them; None where too few show the same.
-
-    Args:
-        material: Key images and their features.
-        stated: The camera to start from.
-    """
-    keys = _sample_of_keys(len(material.key))
+    """The camera that fits some of the key images and their poses; None where too few show the same."""
+    keys = np.arange(len(material.key))
+    if len(keys) > _SAMPLED_KEYS:  # runs that follow each other, evenly over all
+        starts = np.linspace(0, len(keys) - _RUN, _SAMPLED_KEYS // _RUN).astype(np.int64)
+        keys = np.unique((starts[:, None] + np.arange(_RUN)).ravel())
     position = {int(k): i for i, k in enumerate(keys.tolist())}
     matches = {
         (position[i], position[j]): matched
@@ -285,14 +268,6 @@ def camera_found(material: Material, stated: ViewCamera) -> Adjusted | None:
     return found
 
 
-def _sample_of_keys(count: int) -> Int64[np.ndarray, " k"]:
-    """Runs of key images that follow each other, evenly over all."""
-    if count <= _SAMPLED_KEYS:
-        return np.arange(count)
-    starts = np.linspace(0, count - _RUN, _SAMPLED_KEYS // _RUN).astype(np.int64)
-    return np.unique((starts[:, None] + np.arange(_RUN)).ravel())
-
-
 def _points(
     camera: ViewCamera,
     poses: Poses,
@@ -300,7 +275,6 @@ def _points(
     depth_m: float,
     outliers_px: Sequence[float],
 ) -> tuple[Float64[np.ndarray, "p 3"], Sightings]:
-    """Points of sightings, from which those are left out that do not fit, from round to round."""
     points = np.empty((0, 3))
     for most_px in (*outliers_px, None):
         if not len(sightings):
@@ -316,7 +290,6 @@ def _points(
 
 
 def _key_images(poses: Poses, depth_m: float) -> Int64[np.ndarray, " k"]:
-    """Images that each differ from all others in what they show, in order."""
     wider = 1.0
     while True:
         key: list[int] = []
@@ -333,20 +306,11 @@ def _key_images(poses: Poses, depth_m: float) -> Int64[np.ndarray, " k"]:
 
 
 def _sampled(features: Sequence[Features], rng: np.random.Generator) -> Float32[np.ndarray, "n d"]:
-    """Some of all descriptors, as many of each image."""
     some = max(1, _SAMPLED // len(features))
     return np.concatenate([each.descriptors[rng.permutation(len(each))[:some]] for each in features])
 
 
-def _mean_descriptors(everything: Float32[np.ndarray, "n d"], of: Sightings, count: int) -> Float32[np.ndarray, "p d"]:
-    """Of each point the mean of those of its sightings."""
-    found = everything[of.feature]
-    sums = np.stack([np.bincount(of.point, column, minlength=count) for column in found.T], axis=1)
-    return unit_vectors(sums.astype(np.float32))
-
-
 def _within_memory(of: Sightings, count: int) -> Bool[np.ndarray, " p"]:
-    """Which points to keep so that the map stays small: those that many images show."""
     views = np.bincount(of.point, minlength=count)
     order = np.argsort(-views, kind="stable")
     size = np.cumsum(_BYTES_OF_POINT + _BYTES_OF_SIGHTING * views[order])

@@ -1,7 +1,7 @@
 """An image and a map -> poses of the camera, each verified by landmarks.
 
-Sources: Arandjelović and Zisserman, "All about VLAD", CVPR 2013 (which images look alike); Sattler, Leibe and Kobbelt,
-"Efficient and effective prioritized matching", 2017 (landmarks found through others, by where they must be seen).
+Sources: Arandjelović and Zisserman, "All about VLAD", CVPR 2013 (retrieval); Sattler, Leibe and Kobbelt, "Efficient and
+effective prioritized matching", 2017 (guided matching); Larsson et al., PoseLib (P3P in locally optimised RANSAC).
 """
 
 from __future__ import annotations
@@ -11,23 +11,30 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import poselib
 from jaxtyping import Bool, Float64, Int64, UInt8
 
 from filtering.mapped_views import MappedViews
 from filtering.se3 import Poses
-from vapor.landmarks.features import Features, extract, restored
+from sequences.frame import Camera
+from vapor.landmarks.features import Features, extract, mutual_matches, mutual_matches_among, restored, within
 from vapor.landmarks.landmark_map import LEAST_INLIERS, LandmarkMap
-from vapor.landmarks.matching import mutual_matches, mutual_matches_among, within
 from vapor.landmarks.points import by_pose, seen
-from vapor.landmarks.pose_solver import INLIER_PX, ROBUST_PX, lo_ransac
 
+INLIER_PX = 3.0
+"""Matches whose point is seen within so many pixels agree with a pose."""
+ROBUST_PX = 1.0
+"""Scale of the robust (Cauchy) cost of refinements, pixels."""
+_LEAST_SUPPORT = 8  # matches that must agree with a pose
+_TRIES = {"max_reproj_error": INLIER_PX, "max_iterations": 1000, "min_iterations": 50, "seed": 0}
+_LOSS = {"loss_type": "CAUCHY", "loss_scale": ROBUST_PX}
 _RATIO = 0.9  # of the distances of a feature's nearest and second nearest descriptor of the map, in a match
 _COSINE = 0.65  # of the descriptors of a match that lies where it must be
 _QUERY_PX, _FEATURES = 230, 300
 _ALIKE = 16  # key images that look most like an image
 _NEAR = 6  # key images nearest to a pose that is proposed
 _SHARED = 8  # points that key images of one place share
-_KNOWN = 0.2  # of the points of a key image: what shows more of what is seen from a verified pose is not looked at
+_KNOWN = 0.2  # fraction of a key image's points near a verified pose, above which it is skipped
 _MOST_PLACES = 8  # that are looked at
 _MOST_POINTS = 1000  # of a place, that are matched
 _LEAST_MATCHES = 8
@@ -39,16 +46,30 @@ _LOOKS_ALONG = 0.7  # cosine between the axes of two cameras that may show the s
 _APART = 0.25, 0.2  # depths and radians: poses within are one
 
 
+def lo_ransac(pixels: Float64[np.ndarray, "n 2"], points: Float64[np.ndarray, "n 3"], camera: Camera) -> Poses | None:
+    """camera_from_world that most matches of undistorted pixels and points agree with; None where hardly any do."""
+    pinhole = {
+        "model": "PINHOLE",
+        "width": camera.width,
+        "height": camera.height,
+        "params": [camera.fx, camera.fy, camera.cx, camera.cy],
+    }
+    pose, report = poselib.estimate_absolute_pose(pixels, points, pinhole, _TRIES, _LOSS)
+    if report["num_inliers"] < _LEAST_SUPPORT:
+        return None
+    return Poses(np.asarray(pose.R, np.float64), np.asarray(pose.t, np.float64)).orthonormal()
+
+
 @dataclass(frozen=True)
 class VerifiedPose:
     """A pose from which landmarks are seen where an image shows them.
 
     Attributes:
         world_from_camera: One pose.
-        covariance: Of ξ = (v, ω), metres and radians, in the tangent at it, as the residuals tell, (6, 6).
-        inliers: Landmarks that agree.
-        pixels: Where the image shows these, (k, 2).
-        residuals: How far off each is seen from the pose, pixels, (k, 2).
+        covariance: Of ξ = (v, ω) in its tangent, metres and radians, from the residuals.
+        inliers: Number of landmarks that agree.
+        pixels: Their undistorted pixels in the image.
+        residuals: Projections from the pose minus these.
     """
 
     world_from_camera: Poses
@@ -59,17 +80,12 @@ class VerifiedPose:
 
 
 def query_features(view: UInt8[np.ndarray, "h w"]) -> Features:
-    """Features of a grey image to be localized, with all numbers of SIFT."""
+    """Features of a grey image to be localized, with SIFT's 128 numbers."""
     return extract(view, _FEATURES, longest=_QUERY_PX)
 
 
 class LandmarkLocalizer:
-    """Finds the poses from which images show landmarks.
-
-    Args:
-        landmarks: The map.
-        ignored: Key images of it that nothing is looked for in, (n,); None for none.
-    """
+    """Finds the poses from which images show landmarks, without looking in ignored key images (n,)."""
 
     def __init__(self, landmarks: LandmarkMap, ignored: Bool[np.ndarray, " n"] | None = None) -> None:
         self.landmarks = landmarks
@@ -80,12 +96,7 @@ class LandmarkLocalizer:
         return np.bincount(self.landmarks.shown, minlength=len(self.landmarks.points))
 
     def features(self, view: UInt8[np.ndarray, "h w"], *, distorted: bool = True) -> Features:
-        """Features of a grey image, as large as those of the map, at undistorted pixels.
-
-        Args:
-            view: Of the map's camera.
-            distorted: Whether its lens distorts it, as it does the key images; else it is a pinhole camera's.
-        """
+        """Features of a grey image of the map's camera, distorted or not, at undistorted pixels."""
         return self.described(query_features(view), distorted=distorted)
 
     def described(self, found: Features, *, distorted: bool = True) -> Features:
@@ -96,11 +107,11 @@ class LandmarkLocalizer:
         return Features(self.landmarks.camera.undistorted(reduced.pixels), reduced.descriptors)
 
     def localize(self, features: Features, proposed: Poses | None = None) -> list[VerifiedPose]:
-        """Poses that landmarks verify, the one with most of them first.
+        """Verified poses, that of most landmarks first.
 
         Args:
-            features: Of the image, from `features`.
-            proposed: Where else to look than where it looks alike, world_from_camera, (k,), the likeliest first.
+            features: From `features`.
+            proposed: Poses to look near, beside the key images of similar summary, (k,), the likeliest first.
         """
         found: list[VerifiedPose] = []
         if len(features) < LEAST_INLIERS:
@@ -110,7 +121,12 @@ class LandmarkLocalizer:
             own = self.landmarks.shown_by(images[0])
             if np.count_nonzero(shown[own]) > _KNOWN * len(own):
                 continue
-            pose = self._first_pose(features, images)
+            points = self._points_of(images)
+            a, b = mutual_matches(features.descriptors, restored(self.landmarks.descriptors[points]), _RATIO)
+            if len(a) < _LEAST_MATCHES:
+                continue
+            at = self.landmarks.points[points[b]].astype(np.float64)
+            pose = lo_ransac(features.pixels[a], at, self.landmarks.camera.camera)
             if pose is None or self._is_known(pose.inverse(), found):
                 continue
             verified = self._refined(features, pose)
@@ -121,7 +137,6 @@ class LandmarkLocalizer:
         return sorted(found, key=lambda each: -each.inliers)
 
     def _places(self, features: Features, proposed: Poses | None) -> list[list[int]]:
-        """Groups of key images, each of one place: the one most alike, where poses are proposed, and others alike."""
         m = self.landmarks
         likeness = m.summaries @ m.summary(features)
         likeness[self._ignored] = -np.inf
@@ -137,7 +152,6 @@ class LandmarkLocalizer:
         return [*groups[:1], *proposals, *groups[1:]][:_MOST_PLACES]
 
     def _grouped(self, images: Sequence[int]) -> list[list[int]]:
-        """Key images split by what they show: those that share points with the first of a group belong to it."""
         groups: list[list[int]] = []
         marks: list[Bool[np.ndarray, " p"]] = []
         for image in images:
@@ -155,14 +169,11 @@ class LandmarkLocalizer:
         return groups
 
     def ignoring(self, ignored: Bool[np.ndarray, " n"]) -> LandmarkLocalizer:
-        """The same that looks for nothing in some more key images."""
+        """A localizer that ignores these key images, too."""
         return LandmarkLocalizer(self.landmarks, self._ignored | ignored)
 
     def view_distances(self, pose: Poses) -> Float64[np.ndarray, " n"]:
-        """How different key images are from what a camera at a pose sees, (n,): infinite where they show nothing of it.
-
-        1 is a depth moved, or a radian turned.
-        """
+        """Distance of key images from a pose's view: 1 is a depth or a radian, infinite if they show none of it."""
         poses = self.landmarks.poses
         along = poses.rotation[:, :, 2] @ pose.rotation[:, 2]
         away = poses.translation - pose.translation
@@ -171,17 +182,15 @@ class LandmarkLocalizer:
         return distance
 
     def mapped(self, reach: float = 1.0, elsewhere: float = 0.0) -> MappedViews:
-        """The views that it looks for things in, see `MappedViews`."""
+        """The views that it looks in, see `MappedViews`."""
         return self.landmarks.mapped(reach, elsewhere, self._ignored)
 
     def _near(self, pose: Poses, most: int) -> Int64[np.ndarray, " k"]:
-        """Key images that may show what a camera at a pose sees, the nearest first."""
         cost = self.view_distances(pose)
         order = np.argsort(cost, kind="stable")[:most]
         return order[np.isfinite(cost[order])]
 
     def _points_of(self, images: Sequence[int] | Int64[np.ndarray, " k"]) -> Int64[np.ndarray, " q"]:
-        """The points that key images show, each once; of too many those that most of them show."""
         m = self.landmarks
         rows = [m.shown_by(int(image)) for image in images]
         if not rows:
@@ -192,17 +201,7 @@ class LandmarkLocalizer:
             points = points[order]
         return points.astype(np.int64)
 
-    def _first_pose(self, features: Features, images: Sequence[int]) -> Poses | None:
-        """camera_from_world by the points of some key images; None where these are not what the image shows."""
-        m, points = self.landmarks, self._points_of(images)
-        a, b = mutual_matches(features.descriptors, restored(m.descriptors[points]), _RATIO)
-        if len(a) < _LEAST_MATCHES:
-            return None
-        at = m.points[points[b]].astype(np.float64)
-        return lo_ransac(features.pixels[a], at, m.camera.camera)
-
     def _refined(self, features: Features, camera_from_world: Poses) -> VerifiedPose | None:
-        """A pose by all landmarks that must be seen from it, looked for where they must be seen."""
         m, camera = self.landmarks, self.landmarks.camera
         points = self._points_of(self._near(camera_from_world.inverse(), _GUIDED_FROM))
         found = seen(camera_from_world, m.points[points].astype(np.float64))
@@ -228,7 +227,7 @@ class LandmarkLocalizer:
                 step = -np.linalg.solve(
                     information + _DAMPING * np.diag(information.diagonal()), weighted.T @ residual.ravel()
                 )
-            except np.linalg.LinAlgError:  # points that lie almost in one place tell no pose
+            except np.linalg.LinAlgError:  # of points that lie almost in one place
                 return None
             if not np.abs(step[:3]).max() < m.depth_m or not np.abs(step[3:]).max() < 1.0:
                 return None

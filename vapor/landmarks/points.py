@@ -14,14 +14,7 @@ _ROUNDS = 4
 
 @dataclass(frozen=True)
 class Sightings:
-    """m sightings of p points by views.
-
-    Attributes:
-        view: Which view each is of, (m,).
-        point: Which point, from 0 to p − 1, each of them at least once, (m,).
-        feature: Which feature of all views, (m,).
-        pixels: Where, in the image, (m, 2).
-    """
+    """m sightings of points by views; each point has one at least. Features are those of all views."""
 
     view: Int64[np.ndarray, " m"]
     point: Int64[np.ndarray, " m"]
@@ -32,7 +25,7 @@ class Sightings:
         return len(self.view)
 
     def kept(self, mask: Bool[np.ndarray, " m"], least: int = 2) -> tuple[Sightings, Int64[np.ndarray, " q"]]:
-        """Some of the sightings, of points that keep enough of them; and which points those are."""
+        """The masked sightings of points with at least `least` of them, and the numbers of these points."""
         points = np.bincount(self.point[mask], minlength=int(self.point.max(initial=-1)) + 1)
         mask = mask & (points >= least)[self.point]
         left, number = np.unique(self.point[mask], return_inverse=True)
@@ -41,13 +34,7 @@ class Sightings:
 
 @dataclass(frozen=True)
 class Seen:
-    """What a pinhole camera would see of points.
-
-    Attributes:
-        at: x and y of the rays to them, (m, 2).
-        inverse_depth: Over the depth, per metre; 0 behind the camera, (m,).
-        in_camera: The points in the camera's frame, metres, (m, 3).
-    """
+    """Points in the view of a pinhole camera: x and y of the rays, inverse depth (0 behind), metres."""
 
     at: Float64[np.ndarray, "m 2"]
     inverse_depth: Float64[np.ndarray, " m"]
@@ -55,7 +42,7 @@ class Seen:
 
 
 def seen(camera_from_world: Poses, points: Float64[np.ndarray, "m 3"]) -> Seen:
-    """Project each of m points into the view of its pose, batch (m,) or one for all."""
+    """Project each of m points into the view of its pose, (m,) or one for all."""
     in_camera = np.einsum("...ij,...j->...i", camera_from_world.rotation, points) + camera_from_world.translation
     depth = in_camera[:, 2]
     with np.errstate(divide="ignore"):
@@ -66,13 +53,7 @@ def seen(camera_from_world: Poses, points: Float64[np.ndarray, "m 3"]) -> Seen:
 def triangulated(
     camera_from_world: Poses, rays: Float64[np.ndarray, "m 2"], of: Sightings
 ) -> Float64[np.ndarray, "p 3"]:
-    """Points by least squares: at first of their distance from the planes through rays, then of where they are seen.
-
-    Args:
-        camera_from_world: Of all views, batch (n,).
-        rays: x and y of the ray of each sighting.
-        of: Which point and view each of them is of.
-    """
+    """Points by least squares: first of the distances from the rays' planes, then of the rays' x and y."""
     count = int(of.point.max(initial=-1)) + 1
     rotation, translation = camera_from_world.rotation[of.view], camera_from_world.translation[of.view]
     normal, right = np.zeros((count, 3, 3)), np.zeros((count, 3))
@@ -96,12 +77,12 @@ def triangulated(
 
 
 def by_point(found: Seen, rotation: Float64[np.ndarray, "m 3 3"]) -> Float64[np.ndarray, "m 2 3"]:
-    """Derivative of where points are seen by their positions."""
+    """Derivative of `Seen.at` by the points."""
     return (rotation[:, :2] - found.at[:, :, None] * rotation[:, 2:]) * found.inverse_depth[:, None, None]
 
 
 def by_pose(found: Seen) -> Float64[np.ndarray, "m 2 6"]:
-    """Derivative of where points are seen by ξ = (v, ω), where exp(ξ) is on the left of camera_from_world."""
+    """Derivative of `Seen.at` by ξ = (v, ω), where exp(ξ) is on the left of camera_from_world."""
     x, y, inverse = found.at[:, 0], found.at[:, 1], found.inverse_depth
     zero = np.zeros_like(x)
     rows = [[inverse, zero, -x * inverse, -x * y, 1 + x * x, -y], [zero, inverse, -y * inverse, -1 - y * y, x * y, x]]
@@ -109,7 +90,7 @@ def by_pose(found: Seen) -> Float64[np.ndarray, "m 2 6"]:
 
 
 def parallax(camera_from_world: Poses, points: Float64[np.ndarray, "p 3"], of: Sightings) -> Float64[np.ndarray, " p"]:
-    """Angle between the directions from which each point is seen, about: twice the largest from their mean, radians."""
+    """Angle between the rays of each point, about: twice the largest from their mean, radians."""
     centres = camera_from_world.inverse().translation
     towards = points[of.point] - centres[of.view]
     towards /= np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-12)
@@ -122,7 +103,6 @@ def parallax(camera_from_world: Poses, points: Float64[np.ndarray, "p 3"], of: S
 
 
 def _summed(values: np.ndarray, group: Int64[np.ndarray, " m"], count: int) -> np.ndarray:
-    """Sums of the values of each group, fast: as one sparse product would give them."""
     flat = values.reshape(len(values), -1)
     sums = np.stack([np.bincount(group, column, minlength=count) for column in flat.T], axis=1)
     return sums.reshape(count, *values.shape[1:])

@@ -1,19 +1,21 @@
-"""Features of views of known pose -> sightings of points: matched where poses say that views show the same."""
+"""Features of views of known pose -> sightings of points: matched where poses state that views show the same."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float64, Int64
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
 
 from filtering.se3 import Poses
-from vapor.landmarks.features import Features
-from vapor.landmarks.matching import mutual_matches
+from sequences.datasets.seen_points import POINTS_OF_A_MODEL, SeenPoints
+from vapor.landmarks.features import Features, mutual_matches
+from vapor.landmarks.landmark_map import ViewCamera
 from vapor.landmarks.points import Sightings
-from vapor.landmarks.view_camera import ViewCamera
 
 Matches = dict[tuple[int, int], tuple[np.ndarray, np.ndarray]]
 """Of pairs of views, by their numbers: which features of the one, (k,), match which of the other, (k,)."""
@@ -29,10 +31,11 @@ _RANKS = 1, 2, 4, 8, 16, 32  # of their neighbours
 _LEAST_PARALLAX = np.deg2rad(2.0)
 _FARTHEST = 20.0  # depths: nothing that is further away is a landmark
 _CHUNK = 256
+_NEAR_PX = 1.0  # a feature so near to where a point is seen shows it
 
 
 def view_change(poses: Poses, depth_m: float) -> Float64[np.ndarray, " n"]:
-    """How much the view changed since the pose before, (n,): 1 for half a depth moved, and for 25° turned."""
+    """Change of the view since the pose before, (n,): 1 for half a depth moved, and for 25° turned."""
     change = np.zeros(len(poses))
     if len(poses) > 1:
         metres, turned = poses[:-1].distance(poses[1:])
@@ -41,13 +44,7 @@ def view_change(poses: Poses, depth_m: float) -> Float64[np.ndarray, " n"]:
 
 
 def neighbours(poses: Poses, depth_m: float, *, most: int = _PARTNERS) -> Iterator[tuple[int, Int64[np.ndarray, " k"]]]:
-    """Of each view, the others that show most of the same from somewhere else, by their number.
-
-    Args:
-        poses: world_from_camera, (n,).
-        depth_m: How far away things are, about.
-        most: How many at most.
-    """
+    """Each view with the others, at most `most`, that show most of the same from elsewhere."""
     for begin in range(0, len(poses), _CHUNK):
         own = np.arange(begin, min(begin + _CHUNK, len(poses)))
         pairs = np.indices((len(own), len(poses)))
@@ -63,13 +60,13 @@ def neighbours(poses: Poses, depth_m: float, *, most: int = _PARTNERS) -> Iterat
 def typical_depth_m(
     poses: Poses, features: Callable[[int], Features], camera: ViewCamera, *, scale_m: float
 ) -> float | None:
-    """How far away is what views show, metres, median; None where no two views show the same from two sides.
+    """Median distance of what views show, metres; None where no two views show the same from two sides.
 
     Args:
         poses: world_from_camera, (n,), in order of time.
-        features: Of a view, by its number.
+        features: Gives those of a view, by its number.
         camera: Of the views.
-        scale_m: So much distance is as much of a difference as a radian, for a start.
+        scale_m: Initial distance that changes a view as much as a radian.
     """
     depths: list[Float64[np.ndarray, " k"]] = []
     for i in np.unique(np.linspace(0, len(poses) - 1, min(_TRIED, len(poses))).astype(np.int64)).tolist():
@@ -86,7 +83,6 @@ def typical_depth_m(
 def _depths(
     poses: Poses, i: int, j: int, features: Callable[[int], Features], camera: ViewCamera
 ) -> Float64[np.ndarray, " k"]:
-    """Depths in view i of what two views show, where rays differ enough."""
     one, other = features(i), features(j)
     a, b = mutual_matches(one.descriptors, other.descriptors, RATIO)
     if not len(a):
@@ -114,13 +110,7 @@ def epipolar_errors(
     second: Float64[np.ndarray, "k 2"],
     second_from_first: Poses,
 ) -> Float64[np.ndarray, " k"]:
-    """How far rays of two views are from meeting, by Sampson, in units of the rays (multiply by the focal length).
-
-    Args:
-        first: x and y of rays of one view.
-        second: Of the other.
-        second_from_first: One pose.
-    """
+    """Sampson distances of the x and y of rays of two views, in units of the rays (times the focal length: pixels)."""
     x, y, z = second_from_first.translation / max(float(np.linalg.norm(second_from_first.translation)), 1e-300)
     essential = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) @ second_from_first.rotation
     one, other = (np.concatenate([rays, np.ones((len(rays), 1))], axis=1) for rays in (first, second))
@@ -134,13 +124,7 @@ def inverse_distances(
     second: Float64[np.ndarray, "k 2"],
     second_from_first: Poses,
 ) -> tuple[Float64[np.ndarray, " k"], Float64[np.ndarray, " k"]]:
-    """How far away in the first view rays of two views meet, as 1/m, and by how much that changes with a radian.
-
-    Args:
-        first: x and y of rays of one view.
-        second: Of the other.
-        second_from_first: One pose.
-    """
+    """Inverse distance in the first view where rays of two views meet, 1/m, and its change by a radian."""
     here, there = _bearings(first), _bearings(second)
     across = np.cross(there, second_from_first.translation)  # there × (R here + t / distance) = 0
     length = np.linalg.norm(across, axis=1)
@@ -149,26 +133,13 @@ def inverse_distances(
     return found, 1.0 / np.maximum(length, 1e-300)
 
 
-def matches_of(features: Sequence[Features], pairs: Sequence[tuple[int, int]]) -> Matches:
-    """Which features of pairs of views match, whatever camera took them."""
-    return {(i, j): mutual_matches(features[i].descriptors, features[j].descriptors, RATIO) for i, j in pairs}
-
-
 def find_sightings(
     poses: Poses, features: Sequence[Features], camera: ViewCamera, matches: Matches, *, depth_m: float, most_px: float
 ) -> tuple[Sightings, Float64[np.ndarray, " e"]]:
-    """Points that views see, before it is known where they are, and the epipolar errors of all matches, pixels.
+    """Sightings of points by matches of n views, and the epipolar errors of all matches, pixels.
 
-    Rays that meet behind the first camera, or far beyond all things, show two that look alike: those of two storeys,
-    one above the other, are parallel. Their error is infinite.
-
-    Args:
-        poses: world_from_camera of n views.
-        features: Of each.
-        camera: That took them.
-        matches: Of pairs of views.
-        depth_m: How far away things are, about.
-        most_px: Matches whose rays miss each other by more are none.
+    Rays that meet behind the first camera, or far beyond the scene, have an infinite error: they show two points that
+    look alike, such as parallel rays on two storeys. Matches with an error above `most_px` are dropped.
     """
     offset = np.concatenate([[0], np.cumsum([len(each) for each in features])])
     rays = [camera.rays(each.pixels) for each in features]
@@ -198,3 +169,56 @@ def find_sightings(
     pixels = np.concatenate([np.empty((0, 2)), *(each.pixels for each in features)])[feature]
     found = Sightings(view, point, feature, pixels)
     return found.kept(np.ones(len(found), bool))[0], np.concatenate(errors)
+
+
+def at_given_points(
+    features: Features, given: SeenPoints | None, camera: ViewCamera
+) -> tuple[Features, Int64[np.ndarray, " n"]]:
+    """The features of an image at the exact pixels of given points, and the point that each shows; −1 for none, (n,).
+
+    A feature shows the nearest point within a pixel, and a point is shown by the nearest feature.
+    """
+    points = np.full(len(features), -1)
+    if given is None or not len(given.point) or not len(features):
+        return features, points
+    seen_at = given.rays * camera.focal + camera.centre
+    found = KDTree(features.pixels).query(seen_at, distance_upper_bound=_NEAR_PX)
+    away, feature = (np.asarray(each) for each in found)
+    order = np.argsort(away, kind="stable")
+    order = order[np.isfinite(away[order])]
+    order = order[np.unique(given.point[order], return_index=True)[1]]  # of a point seen twice the nearer
+    order = order[np.argsort(away[order], kind="stable")]
+    order = order[np.unique(feature[order], return_index=True)[1]]
+    points[feature[order]] = given.point[order]
+    pixels = features.pixels.copy()
+    pixels[feature[order]] = seen_at[order]
+    return replace(features, pixels=pixels), points
+
+
+def with_given_points(matches: Matches, points: Sequence[Int64[np.ndarray, " n"]]) -> Matches:
+    """Matches of views with features that show the same point, and without those that show two points of one model.
+
+    `points` has the point of each feature of each view, −1 for none.
+    """
+    joined = {}
+    for (i, j), (a, b) in matches.items():
+        one, other = points[i][a], points[j][b]
+        fine = (one < 0) | (other < 0) | (one == other) | (one // POINTS_OF_A_MODEL != other // POINTS_OF_A_MODEL)
+        joined[i, j] = a[fine], b[fine]
+    view = np.repeat(np.arange(len(points)), [len(each) for each in points])
+    feature = np.concatenate([np.empty(0, np.int64), *(np.arange(len(each)) for each in points)])
+    point = np.concatenate([np.empty(0, np.int64), *points])
+    order = np.flatnonzero(point >= 0)
+    order = order[np.lexsort((view[order], point[order]))]
+    follows = np.flatnonzero(np.diff(point[order]) == 0)
+    first, second = order[follows], order[follows + 1]
+    pair = view[first] * len(points) + view[second]
+    order = np.argsort(pair, kind="stable")
+    for some in np.split(order, np.flatnonzero(np.diff(pair[order])) + 1):
+        if len(some):
+            i, j = int(view[first[some[0]]]), int(view[second[some[0]]])
+            before = joined.get((i, j), (np.empty(0, np.int64), np.empty(0, np.int64)))
+            new = feature[first[some]], feature[second[some]]
+            both = np.concatenate([np.stack(before), np.stack(new)], axis=1)
+            joined[i, j] = tuple(np.unique(both, axis=1))
+    return joined

@@ -1,8 +1,6 @@
-"""An image's posterior, and the poses that landmarks verify -> one posterior: sharp where landmarks are seen.
+"""An image's posterior, and the poses that landmarks verify -> one posterior.
 
-How many landmarks agree says whether a pose is one, and hardly which of two places that look alike it is. So a verified
-place has the weight that the network gives it, more than one that is not verified, and places that only time can tell
-apart stay apart.
+The number of landmarks hardly decides between places that look alike, so a verified place keeps the network's weight.
 """
 
 from __future__ import annotations
@@ -25,14 +23,36 @@ from sequences.frame import Camera
 from vapor.cameras import AsTakenBy, same_view
 from vapor.images import centre_crop, scale_to_cover
 from vapor.landmarks.features import Features
-from vapor.landmarks.landmark_map import LEAST_INLIERS, LandmarkMap
+from vapor.landmarks.landmark_map import LEAST_INLIERS, LandmarkMap, ViewCamera
 from vapor.landmarks.localize import LandmarkLocalizer, VerifiedPose
-from vapor.landmarks.shown import ShownLandmarks
+
+Rgb = UInt8[np.ndarray, "h w 3"]
+
+
+@dataclass(frozen=True)
+class ShownLandmarks:
+    """An image with its features, of which k are landmarks that agree with a pose.
+
+    Attributes:
+        image: RGB, of the size at which features are found.
+        features: Pixels of features.
+        seen: Pixels of the landmarks.
+        predicted: Their projections from the pose.
+        others: Number of landmarks of each other verified pose.
+        number: Of the image in its run, from 0.
+    """
+
+    image: Rgb
+    features: Float64[np.ndarray, "n 2"]
+    seen: Float64[np.ndarray, "k 2"]
+    predicted: Float64[np.ndarray, "k 2"]
+    others: tuple[int, ...]
+    number: int
 
 
 @dataclass(frozen=True)
 class Verification:
-    """What it says of a place that landmarks verify it; found on held-out images."""
+    """Weights of verified places, found on held-out images."""
 
     gain: float = 50.0
     """By how much a place that is verified by the least number of landmarks outweighs one that is not."""
@@ -54,17 +74,12 @@ class Verification:
     def scores(
         self, inliers: Float64[np.ndarray, " j"], weights: Float64[np.ndarray, " j"]
     ) -> Float64[np.ndarray, " j"]:
-        """Of verified places, beside the weight of others that are not.
-
-        Args:
-            inliers: Landmarks that verify each.
-            weights: That the network gives to the place that each is in, 0 where it proposes none there.
-        """
+        """Scores of verified places of these network weights, beside the weights of other places."""
         return self.gain * (inliers / LEAST_INLIERS) ** self.power * (weights + self.unproposed)
 
 
 def proposed_weights(posterior: PosePosterior, poses: Poses) -> Float64[np.ndarray, " j"]:
-    """The weight of the places that poses (j,) lie in, those of one place sharing it; 0 where there is none."""
+    """The weight of the place that each pose (j,) lies in, shared by the poses of one place; 0 where there is none."""
     weights = np.zeros(len(poses))
     if not len(posterior.weights) or not len(poses):
         return weights
@@ -78,7 +93,6 @@ def proposed_weights(posterior: PosePosterior, poses: Poses) -> Float64[np.ndarr
 
 
 def _squared(posterior: PosePosterior, poses: Poses) -> Float64[np.ndarray, "k j"]:
-    """Squared distances of poses from places, in standard deviations of their errors."""
     information = np.linalg.inv(posterior.covariances)
     pairs = np.indices((len(posterior.means), len(poses)))
     offset = posterior.means[pairs[0]].between(poses[pairs[1]]).log()
@@ -91,15 +105,10 @@ def verified(
     settings: Verification,
     mapped: MappedViews | None = None,
 ) -> PosePosterior:
-    """The posterior with the places that landmarks verify; as it is where there are none.
+    """The posterior with the verified places; as it is where there are none.
 
-    Images of other places verify none, so one that does is of this place, however unlike the training images it is.
-
-    Args:
-        posterior: What the network says, with errors of verified places.
-        found: The poses that landmarks verify, of the same image.
-        settings: What that says of a place.
-        mapped: Where landmarks can verify places; None for everywhere.
+    An image that verifies a place is of this map, however unlike the training images it is, and so not foreign.
+    `mapped` states where landmarks can verify places; None for everywhere.
     """
     of_verified = posterior.errors.verified
     if not found or of_verified is None:
@@ -122,27 +131,26 @@ def verified(
 
 @dataclass(frozen=True)
 class Landmarks:
-    """A map of landmarks, and what it says of a place that they verify it."""
+    """A map of landmarks with the weights of verified places."""
 
     map: LandmarkMap
     verification: Verification = field(default_factory=Verification)
 
     @cached_property
     def mapped(self) -> MappedViews:
-        """Where it can verify places."""
+        """The views where it can verify places."""
         return self.map.mapped(self.verification.reach, self.verification.elsewhere)
 
 
 class LandmarkVerifier:
-    """Makes posteriors of images sharp where landmarks are seen; usable with the posteriors of any network.
+    """Adds verified places to the posteriors of any network.
 
     Args:
         landmarks: A model's, see `ModelDescription.landmarks`.
-        errors: How the poses err that it verifies, the model's `calibration.errors.verified`.
+        errors: Of verified places, the model's `calibration.errors.verified`.
 
     Attributes:
-        landmarks: As given.
-        latest: The poses that the landmarks of the latest image verified, the one with most of them first.
+        latest: Verified poses of the latest image, that of most landmarks first.
     """
 
     def __init__(self, landmarks: Landmarks, errors: ErrorModel) -> None:
@@ -152,46 +160,24 @@ class LandmarkVerifier:
         pinhole = landmarks.map.camera.camera
         self._as_found = AsTakenBy(pinhole, (pinhole.width, pinhole.height))
 
-    def _view(
-        self, image: UInt8[np.ndarray, "h w 3"], camera: Camera | None
-    ) -> tuple[UInt8[np.ndarray, "h2 w2 3"], bool]:
-        """The image as of the camera of the key images, and whether that camera's lens distorts it.
-
-        An image of which the same is stated as of these was taken by that camera. Any other image is resampled, by its
-        own intrinsics, to a pinhole camera like that.
-        """
+    def _view(self, image: Rgb, camera: Camera | None) -> tuple[UInt8[np.ndarray, "h2 w2 3"], bool]:
+        """The image, resampled if of another camera than the map's, and whether the lens distorts it."""
         stated = self.landmarks.map.stated
         if camera is None or (stated is not None and same_view(camera, stated)):
             return image, True
         return self._as_found(image, camera), False
 
-    def _features(self, image: UInt8[np.ndarray, "h w 3"], camera: Camera | None) -> Features:
+    def _features(self, image: Rgb, camera: Camera | None) -> Features:
         view, distorted = self._view(image, camera)
         return self._localizer.features(grey_view(view, self.landmarks.map.camera.camera), distorted=distorted)
 
-    def find(
-        self, image: UInt8[np.ndarray, "h w 3"], camera: Camera | None, posterior: PosePosterior
-    ) -> list[VerifiedPose]:
-        """The poses that landmarks verify, in the places of a posterior and where else the image looks alike.
-
-        Args:
-            image: RGB, undistorted.
-            camera: That took it; None where unknown.
-            posterior: What a network says of it.
-        """
+    def find(self, image: Rgb, camera: Camera | None, posterior: PosePosterior) -> list[VerifiedPose]:
+        """Verified poses of an undistorted RGB image, near the places of its posterior and where it looks alike."""
         order = np.argsort(-posterior.weights, kind="stable")
         return self._localizer.localize(self._features(image, camera), posterior.means[order])
 
-    def verify(
-        self, image: UInt8[np.ndarray, "h w 3"], camera: Camera | None, posterior: PosePosterior
-    ) -> PosePosterior:
-        """The posterior with the places that landmarks verify.
-
-        Args:
-            image: RGB, undistorted.
-            camera: That took it; None where unknown.
-            posterior: What a network says of it; errors of verified places are added where it has none.
-        """
+    def verify(self, image: Rgb, camera: Camera | None, posterior: PosePosterior) -> PosePosterior:
+        """The posterior of an undistorted RGB image with its verified places, and their errors where it has none."""
         self.latest = self.find(image, camera, posterior)
         if posterior.errors.verified is None:
             posterior = replace(posterior, errors=replace(posterior.errors, verified=self._errors))
@@ -199,27 +185,19 @@ class LandmarkVerifier:
 
     def shown(
         self,
-        image: UInt8[np.ndarray, "h w 3"],
+        image: Rgb,
         camera: Camera | None,
         found: Sequence[VerifiedPose],
         *,
         which: int = 0,
         number: int = 0,
     ) -> ShownLandmarks:
-        """What an image shows of the landmarks that verify one of its poses.
-
-        Args:
-            image: RGB, undistorted.
-            camera: That took it; None where unknown.
-            found: The poses that landmarks verify of it.
-            which: Of these.
-            number: Of the image in its run.
-        """
+        """The landmarks of one of the verified poses in an undistorted RGB image."""
         of_map, pose = self.landmarks.map.camera, found[which]
         view, distorted = self._view(image, camera)
 
         def on_view(undistorted: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 2"]:
-            return of_map.pixels(of_map.without_distortion().rays(undistorted)) if distorted else undistorted
+            return of_map.pixels(ViewCamera(of_map.camera).rays(undistorted)) if distorted else undistorted
 
         width, height = of_map.camera.width, of_map.camera.height
         return ShownLandmarks(
@@ -232,7 +210,7 @@ class LandmarkVerifier:
         )
 
 
-def grey_view(image: UInt8[np.ndarray, "h w 3"], camera: Camera) -> UInt8[np.ndarray, "height width"]:
+def grey_view(image: Rgb, camera: Camera) -> UInt8[np.ndarray, "height width"]:
     """The middle of an RGB image, grey, of a camera's size."""
     grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))
     covering = scale_to_cover(grey, camera.width, camera.height)

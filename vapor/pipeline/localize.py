@@ -28,8 +28,7 @@ from vapor.pipeline.config import FilteringConfig
 from vapor.reporting.record import RunRecord
 from vapor.reporting.rerun_place import Place
 from vapor.reporting.run_outputs import RunOutputs
-from vapor.tracking.history import History
-from vapor.tracking.loop import Baselines, StepLoop
+from vapor.tracking.loop import Baselines, History, StepLoop
 from vapor.tracking.methods import poses_at_end, start_baselines
 
 Item = TypeVar("Item")

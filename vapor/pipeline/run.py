@@ -16,7 +16,7 @@ from sequences.options import SequenceOptions
 from sequences.outputs.results import results_folder
 from sequences.reader import SequenceReader
 from vapor.landmarks.localize import VerifiedPose
-from vapor.landmarks.shown import ShownLandmarks
+from vapor.landmarks.verify import ShownLandmarks
 from vapor.observation import VaporObservationModel
 from vapor.pipeline.config import RunConfig
 from vapor.pipeline.localize import localize

@@ -15,7 +15,7 @@ from filtering.floors import Floors
 from filtering.se3 import Poses
 from sequences.frame import Frame, Trajectory
 from sequences.reading.counts import ImageCounts
-from vapor.landmarks.shown import ShownLandmarks
+from vapor.landmarks.verify import ShownLandmarks
 from vapor.reporting.drawing import as_jpeg, shrunk
 from vapor.tracking.loop import Step
 from vapor.tracking.methods import in_order

@@ -1,10 +1,10 @@
-"""What is believed of a moving robot: by the filter at its last image, and by odometry from there on."""
+"""The belief about a moving robot: the filter's at the last image, carried on by odometry."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import overload
 
 import numpy as np
 from jaxtyping import Float64
@@ -29,15 +29,10 @@ _SETTLE_S, _SETTLED_S = 4.0, 2.0  # without images the belief follows odometry f
 
 @dataclass(frozen=True)
 class Anchor:
-    """What is believed of the last image that was localized, or of what somebody stated, and what leads on from it.
+    """The belief at the last localized image, or at a stated pose (without a frame), from which odometry leads on.
 
-    Attributes:
-        time_ns: Its stamp.
-        reading: Of which reading it is, see `LiveReader.readings`.
-        estimate: What the filter believes.
-        map_from_odom: By the best mode, one pose; None where the odometry at that time is not known.
-        frame: The image; None where it was stated.
-        began_s: When it was there, of `time.monotonic`.
+    `map_from_odom` is by the best mode; None where the odometry at `time_ns` is unknown. `reading` is that of
+    `LiveReader.readings`, `began_s` the time of arrival by `time.monotonic`.
     """
 
     time_ns: int
@@ -49,24 +44,41 @@ class Anchor:
 
     @property
     def age_s(self) -> float:
-        """How long it has been there."""
+        """Seconds since its arrival."""
         return time.monotonic() - self.began_s
 
 
-class LiveBelief:
-    """The belief about a robot that moves on while its images are at the network.
-
-    Args:
-        localizer: The filter.
-        model: What it observes images by.
-        reader: What odometry is from.
-        fit: What the model's calibration found of odometry; None to believe what the odometry says of itself.
+@dataclass(frozen=True)
+class LiveEstimate:
+    """The belief after one image, and the robot's poses by it.
 
     Attributes:
-        localizer: The filter.
-        reader: What odometry is from.
-        anchor: The last image that was localized; None before the first.
-        now: What was published last, which is of a later time where images are silent; None before the first.
+        frame: The image, its stamp, and the odometry since the image before.
+        estimate: The filter's estimate.
+        map_from_base: Pose of the odometry's child frame at the time of the image, by the best mode, one pose.
+        map_from_odom: Transform from the map to the odometry's frame, one pose; None unless converged.
+        latency_ms: Milliseconds from the image's arrival to this estimate.
+        skipped: Number of images that were skipped so far, by reason.
+    """
+
+    frame: Frame
+    estimate: Estimate
+    map_from_base: Poses
+    map_from_odom: Poses | None
+    latency_ms: float
+    skipped: Mapping[str, int]
+
+    @property
+    def time_ns(self) -> int:
+        """Stamp of the image, integer nanoseconds."""
+        return self.frame.time_ns
+
+
+class LiveBelief:
+    """The belief about a robot that moves on while the network processes its images.
+
+    `anchor` is None before the first image. `now` is the latest published belief, later than the anchor if images are
+    missing. Without a `fit` of the model's calibration, odometry errs as it states.
     """
 
     def __init__(
@@ -86,8 +98,7 @@ class LiveBelief:
     def observe(self, frame: Frame) -> PosePosterior:
         """The posterior of an image, see `ParticleLocalizer.observe`.
 
-        With a map of landmarks, an image whose view is not new has no places: by odometry it would say what the one
-        before said, and landmarks are not looked for in it.
+        With a map of landmarks, an image whose view is not new has no places, and no landmarks are looked for in it.
         """
         self._model.camera = frame.camera  # which may zoom
         self._model.verifies = self._model.verifier is None or self._is_new(frame.odometry)
@@ -95,10 +106,7 @@ class LiveBelief:
         return posterior if self._model.verifies else posterior.without_places()
 
     def _is_new(self, motion: Odometry | None) -> bool:
-        """Whether landmarks are to be looked for: unless the belief is sure, and the view is that of the last time.
-
-        That is so where odometry says that the camera has hardly moved since, less than a second ago.
-        """
+        """Whether to look for landmarks: the belief is unsure, or motion or a second passed since the last time."""
         if motion is not None:
             self._views, _ = self._views.predict(motion.previous_from_current)
         now_s = time.monotonic()
@@ -110,31 +118,30 @@ class LiveBelief:
         return True
 
     def update(self, job: Job, posterior: PosePosterior) -> Anchor:
-        """Step the filter by what the network says of an image.
+        """Step the filter by an image's posterior.
 
         Raises:
             VaporTrackError: the filter cannot use it; the belief is as before.
         """
         odometry = self._restated(job.frame.odometry)
-        estimate = self.localizer.update(posterior, odometry, elapsed_s=self._until_s(job))
+        if self.anchor is None:
+            elapsed_s = 0.0
+        elif self.anchor.reading != job.reading:  # the clock was set
+            elapsed_s = max(job.began_s - self.anchor.began_s, 0.0)
+        else:
+            elapsed_s = max(job.frame.time_ns - self.anchor.time_ns, 0) * 1e-9
+        estimate = self.localizer.update(posterior, odometry, elapsed_s=elapsed_s)
         map_from_odom = self._map_from_odom(estimate, job.odom_from_base)
         self.anchor = Anchor(job.frame.time_ns, job.reading, estimate, map_from_odom, job.frame, job.began_s)
         return self.anchor
 
     def forget(self) -> None:
-        """Know nothing, from the latest odometry on."""
+        """Start without a belief at the latest odometry."""
         self.localizer.forget()
         self._begin_at(self.reader.odometry_ns)
 
     def start_at(self, time_ns: int, pose: Poses, covariance: Float64[np.ndarray, "6 6"], errors: ErrorModel) -> Anchor:
-        """Believe what somebody stated of a time.
-
-        Args:
-            time_ns: The time, which odometry has come to.
-            pose: Of the camera, one pose.
-            covariance: In the tangent at it.
-            errors: Of the model, as `ParticleLocalizer.start_at` has them.
-        """
+        """Start at a stated pose; the arguments are those of `ParticleLocalizer.start_at`, at a time with odometry."""
         estimate = self.localizer.start_at(pose, covariance, errors)
         map_from_odom = self._map_from_odom(estimate, self.reader.odom_from_base(time_ns))
         self._begin_at(time_ns)
@@ -142,17 +149,13 @@ class LiveBelief:
         return self.anchor
 
     def _begin_at(self, time_ns: int | None) -> None:
-        """Have neither the belief before count any longer, nor the motion."""
         self.anchor = self.now = None
         self._verified_s = -np.inf
         if time_ns is not None:
             self.reader.settle(time_ns)
 
     def settle(self) -> None:
-        """Follow odometry for good where images are missing for long: what lies before need not be remembered.
-
-        No image may be at the network.
-        """
+        """Follow odometry permanently where images are missing for long; no image may be at the network."""
         reader, anchor = self.reader, self.anchor
         odometry_ns, frame_ns = reader.odometry_ns, reader.frame_ns
         if odometry_ns is None or frame_ns is None or odometry_ns - frame_ns <= _SETTLE_S * 1e9:
@@ -174,12 +177,9 @@ class LiveBelief:
         )
 
     def predicted(self, anchor: Anchor, at_network: Job | None, *, by_odometry: bool) -> tuple[int, Estimate]:
-        """The belief of now, and its stamp, where no image tells of it; that of the filter stays as it is.
+        """The belief of now and its stamp, without changing the filter.
 
-        Args:
-            anchor: The last image.
-            at_network: One more image, which is at the network.
-            by_odometry: Whether odometry tells of now; else one may have come as far as in that time one can.
+        Without `by_odometry` the motion since the anchor is unknown. An image `at_network` is later than the anchor.
         """
         time_ns, motion = self.reader.odometry_ns, None
         if by_odometry and time_ns is not None and anchor.reading == self.reader.readings:
@@ -190,7 +190,7 @@ class LiveBelief:
     def covariance_of_base(
         self, anchor: Anchor, time_ns: int, at_network: Job | None
     ) -> Float64[np.ndarray, "6 6"] | None:
-        """Covariance of the base's pose in the tangent at it, by the best mode; None where the motion is not known."""
+        """Covariance of the base's pose in its tangent, by the best mode; None where the motion is unknown."""
         if (motion := self._motion_until(time_ns, at_network)) is None:
             return None
         covariance = motion.carry @ anchor.estimate.modes[0].covariance @ motion.carry.T + motion.covariance
@@ -198,35 +198,18 @@ class LiveBelief:
         return carry @ covariance @ carry.T
 
     def _motion_until(self, time_ns: int, at_network: Job | None) -> Odometry | None:
-        """Motion of the camera since the anchor, with the errors of the fit; None where it is not known."""
         begin_ns = self.reader.frame_ns
         if begin_ns is None or time_ns <= begin_ns:
-            later = Odometry(Poses.identity(), np.zeros((6, 6)), 0.0)
-        elif (moved := self.reader.moved_until(time_ns)) is not None:
-            later = moved
+            motion = Odometry(Poses.identity(), np.zeros((6, 6)), 0.0)
         else:
-            return None
-        if at_network is None:
-            return self._restated(later)
-        between = at_network.frame.odometry
-        return None if between is None else self._restated(between.then(later))
-
-    @overload
-    def _restated(self, odometry: Odometry) -> Odometry: ...
-    @overload
-    def _restated(self, odometry: Odometry | None) -> Odometry | None: ...
+            motion = self.reader.moved_until(time_ns)
+        if motion is not None and at_network is not None:
+            between = at_network.frame.odometry
+            motion = None if between is None else between.then(motion)
+        return self._restated(motion)
 
     def _restated(self, odometry: Odometry | None) -> Odometry | None:
-        """With the errors that the model's calibration found of its kind."""
         return odometry if odometry is None or self._fit is None else self._fit.restated(odometry)
-
-    def _until_s(self, job: Job) -> float:
-        """Seconds from the anchor: by stamps, but across a clock that was set by when images were there."""
-        if self.anchor is None:
-            return 0.0
-        if self.anchor.reading != job.reading:
-            return max(job.began_s - self.anchor.began_s, 0.0)
-        return max(job.frame.time_ns - self.anchor.time_ns, 0) * 1e-9
 
     def _map_from_odom(self, estimate: Estimate, odom_from_base: Poses | None) -> Poses | None:
         if odom_from_base is None:

@@ -16,24 +16,23 @@ class LiveConfig(ModelConfig, FilterConfig):
     """Settings of live localization, beside the model and the system."""
 
     under: str = "/estimate"
-    """What the names of published topics begin with, but for /tf and /diagnostics."""
+    """Prefix of published topics, except /tf and /diagnostics."""
     map_frame: str = MAP_FRAME
     """Name of the frame that the model's poses are in."""
     tf: bool = True
     """Publish tf from the map to the frame of the odometry, while the estimate is converged."""
     tf_ahead_s: float = 0.1
-    """How far that transform's stamp lies ahead of the odometry it was last told with, so that who asks for the pose of
-    now need not wait for the next; AMCL's transform_tolerance."""
+    """How far that transform's stamp is ahead of its odometry, so that a listener need not wait for the next one;
+    AMCL's transform_tolerance."""
     keep_tf: bool = False
-    """While the estimate is not converged, go on with the last transform and the pose of the base by it, rather than
-    publish neither."""
+    """While the estimate is not converged, publish the last transform, rather than none."""
     sim_time: bool = False
-    """Take the time from /clock, as of a simulation or a recording played back; use_sim_time of ROS nodes."""
+    """Take the time from /clock, of a simulation or a recording played back; use_sim_time of ROS nodes."""
     record: Path | None = None
-    """Write what is heard (images, odometry, tf, intrinsics, what is listened to besides) into an MCAP file, which
-    `run` can read. Its name may have the time in it: drive-%Y%m%d-%H%M%S.mcap."""
+    """Record all subscribed topics (images, odometry, tf, intrinsics, controls) in an MCAP file, which `run` can read.
+    Its name may have the time in it: drive-%Y%m%d-%H%M%S.mcap."""
     snapshots: Path = field(default_factory=Path)
-    """Folder that snapshots are written to; made where there is none."""
+    """Folder of snapshots; created if missing."""
     foxglove: bool = False
     """Serve topics to Foxglove, by a WebSocket."""
     foxglove_host: str = "127.0.0.1"
@@ -50,6 +49,6 @@ class LiveConfig(ModelConfig, FilterConfig):
         FilterConfig.__post_init__(self)
         require_within(self, tf_ahead_s=(0.0, 10.0), foxglove_port=(0, 65535))
         if not re.fullmatch(r"(/[A-Za-z_]\w*)+", self.under):
-            raise VaporTrackError(f"under is {self.under!r}, expected how names of topics begin, such as /estimate")
+            raise VaporTrackError(f"under is {self.under!r}, expected a prefix of topics, such as /estimate")
         if not self.map_frame.strip("/"):
             raise VaporTrackError("map_frame is empty, expected the name of a frame")

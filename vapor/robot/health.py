@@ -1,4 +1,4 @@
-"""How live localization goes: what is silent, what was left out and why, how long it takes."""
+"""Health of live localization: missing input, skipped images, latencies."""
 
 from __future__ import annotations
 
@@ -21,14 +21,7 @@ _APART, _ENOUGH_IMAGES = "images and odometry are by different clocks", 10
 
 
 class Health:
-    """Counts, and knows when messages came last.
-
-    Attributes:
-        reader: Whose images and messages; None until topics are found.
-        recorder: What writes them down; None where nothing does.
-        localized: How many images were localized.
-        refused: How many images the network or the filter could not use.
-    """
+    """Counts and latencies, and the times of the last messages; without a reader until topics are found."""
 
     def __init__(self) -> None:
         self.reader: LiveReader | None = None
@@ -39,35 +32,35 @@ class Health:
         self._noticed: set[str] = set()
 
     def image_came(self) -> None:
-        """Note that there was an image, whatever became of it."""
+        """Note an image, used or not."""
         self._image_s = time.monotonic()
 
     def odometry_came(self) -> None:
-        """Note that there was later odometry."""
+        """Note later odometry."""
         self._odometry_s = time.monotonic()
 
     def image_was_localized(self, latency_ms: float) -> None:
-        """Count an image."""
+        """Count a localized image."""
         self.localized += 1
         self._latencies_ms.append(latency_ms)
 
     @property
     def skipped(self) -> dict[str, int]:
-        """How many images were left out, by reason."""
+        """Number of images that were left out, by reason."""
         skipped = {} if self.reader is None else dict(self.reader.counts.skipped)
         return skipped | ({_REFUSED: self.refused} if self.refused else {})
 
     @property
     def has_odometry(self) -> bool:
-        """Whether odometry tells of now."""
+        """Whether odometry is current."""
         return time.monotonic() - self._odometry_s < _ODOMETRY_SILENT_S
 
     def is_old(self, anchor: Anchor) -> bool:
-        """Whether images are missing since one was localized."""
+        """Whether images are missing since the last localized one."""
         return anchor.age_s > _SILENT_S
 
     def silent(self, anchor: Anchor | None) -> str | None:
-        """What does not come, in words; None where everything does."""
+        """The missing input, in words; None where nothing is missing."""
         now_s = time.monotonic()
         if self.reader is None:
             return None
@@ -94,20 +87,19 @@ class Health:
         return values
 
     def notices(self) -> list[str]:
-        """What a person should know and was not told: each reason why something is left out, once; what the camera,
-        the clocks and the recording have to say."""
+        """Notices for a person, each once: reasons of skipped input, camera, clocks and recording."""
         reader = self.reader
         assert reader is not None
-        said = {
+        notices = {
             reason: f"left out: {reason}{reader.problems.get(reason, '')}"
             for reason in [*self.skipped, *reader.messages_left_out]
             if reason not in _USUAL
         }
-        said |= {notice: notice for notice in reader.camera.notices}
+        notices |= {notice: notice for notice in reader.camera.notices}
         if self.recorder is not None and self.recorder.error is not None:
-            said[self.recorder.error] = self.recorder.error
+            notices[self.recorder.error] = self.recorder.error
         if reader.apart is not None and reader.counts.read > _ENOUGH_IMAGES:
-            said[_APART] = f"{_APART}: {reader.apart}"
-        new = [text for reason, text in said.items() if reason not in self._noticed]
-        self._noticed |= set(said)
+            notices[_APART] = f"{_APART}: {reader.apart}"
+        new = [text for reason, text in notices.items() if reason not in self._noticed]
+        self._noticed |= set(notices)
         return new

@@ -1,72 +1,177 @@
-"""Publishes what is believed: poses and particles of each image, and between images where the robot is by now."""
+"""ROS messages of live localization, and how they are published."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from types import SimpleNamespace
+from typing import Any
 
-from filtering.estimate import Estimate
+import numpy as np
+from jaxtyping import Float64
+
+from filtering.errors import VaporTrackError
+from filtering.estimate import Estimate, Status
 from filtering.floors import Floors
 from filtering.se3 import Poses
-from sequences.recordings.estimate_messages import PUBLISHED_PARTICLES, Message, estimate_messages
+from sequences.live.transport import Transport
+from sequences.recordings.estimate_messages import PUBLISHED_PARTICLES, Message, estimate_messages, pose_with_covariance
+from sequences.recordings.mcap_writer import ros_header, ros_poses, ros_transform
+from sequences.recordings.message_definitions import encoder
+from sequences.recordings.messages import covariance_from_ros, pose_from_message
 from sequences.recordings.source import RawMessage
 from vapor.robot.belief import Anchor, LiveBelief
 from vapor.robot.config import LiveConfig
-from vapor.robot.messages import diagnostics_message, pose_message, tf_message
 from vapor.robot.network import Job
-from vapor.robot.outbox import Outbox
+from vapor.robot.viewers import FoxgloveServer
+
+_OK, _WARN, _ERROR, _STALE = 0, 1, 2, 3
+_LEAST_M, _LEAST_RAD = 0.02, 0.02  # nobody points more exactly
+_LEVEL_RAD = 0.1  # of a robot on a floor that is not quite even
+_OF_PRIOR_M = 0.5
+_MOST_VARIANCE = 1e8
+_LEVELS: Mapping[Status, int] = {"converged": _OK, "ambiguous": _WARN, "lost": _ERROR}
+
+
+def pose_message(topic: str, frame: str, time_ns: int, pose: Poses, covariance: Float64[np.ndarray, "6 6"]) -> Message:
+    """geometry_msgs/PoseWithCovarianceStamped of one pose, and its covariance in the tangent at it."""
+    fields = {"header": ros_header(time_ns, frame), "pose": pose_with_covariance(pose, covariance)}
+    return Message(topic, "geometry_msgs/PoseWithCovarianceStamped", fields)
+
+
+def tf_message(time_ns: int, parent: str, child: str, parent_from_child: Poses) -> Message:
+    """tf2_msgs/TFMessage of one pose."""
+    transform = ros_transform(time_ns, parent, child, ros_poses(parent_from_child))
+    return Message("/tf", "tf2_msgs/TFMessage", {"transforms": [transform]})
+
+
+def diagnostics_message(
+    time_ns: int,
+    *,
+    hardware: str,
+    estimate: Estimate | None,
+    silent: str | None,
+    values: Mapping[str, object],
+    floors: Floors | None = None,
+) -> Message:
+    """diagnostic_msgs/DiagnosticArray: level OK if converged, WARN if ambiguous, ERROR if lost, STALE at first.
+
+    `silent` names the missing input; `values` are added. With `floors`, the belief's floor and its weight on each are
+    added, too.
+    """
+    if estimate is None:
+        level, text, about = _STALE, silent or "no image was localized yet", {}
+    else:
+        best = estimate.modes[0]
+        level = _LEVELS[estimate.status] if silent is None else max(_LEVELS[estimate.status], _WARN)
+        text = estimate.status if silent is None else f"{estimate.status}; {silent}"
+        about: dict[str, Any] = {
+            "status": estimate.status,
+            "weight of the best mode": f"{best.weight:.4f}",
+            "modes": len(estimate.modes),
+            "standard deviation, m": f"{best.widest_std_m:.4f}",
+            "agreement of the images": f"{estimate.agreement:.4f}",
+            "unfamiliarity of the image": f"{estimate.unfamiliarity:.4f}",
+        }
+        if floors is not None:
+            on_floors = floors.belief(estimate)
+            about["floor"] = int(on_floors.argmax())
+            about |= {f"weight of floor {number}": f"{weight:.4f}" for number, weight in enumerate(on_floors)}
+    status = {
+        "level": level,
+        "name": "vapor-track: localization",
+        "message": text,
+        "hardware_id": hardware,
+        "values": [{"key": key, "value": str(value)} for key, value in {**about, **values}.items()],
+    }
+    fields = {"header": ros_header(time_ns, ""), "status": [status]}
+    return Message("/diagnostics", "diagnostic_msgs/DiagnosticArray", fields)
+
+
+def camera_of_initial_pose(
+    message: SimpleNamespace, base_from_camera: Poses, prior_poses: Poses
+) -> tuple[Poses, Float64[np.ndarray, "6 6"]]:
+    """Pose of the camera, one pose, and its covariance in its tangent, from geometry_msgs/PoseWithCovarianceStamped.
+
+    RViz's "2D Pose Estimate" gives x, y and the heading, and variances of zero for height, roll and pitch. Then the
+    height is that of the training images (`prior_poses`), and the robot is level.
+
+    Raises:
+        VaporTrackError: an unusable pose or covariance.
+    """
+    base = pose_from_message(message.pose.pose)
+    stated = np.array(message.pose.covariance, np.float64).reshape(6, 6)
+    if not (np.abs(stated) <= _MOST_VARIANCE).all():  # NaN compares as false
+        raise VaporTrackError(
+            f"covariance is not finite or above {_MOST_VARIANCE:g}, expected one of metres and radians"
+        )
+    stated = (stated + stated.T) / 2
+    if (lowest := float(np.linalg.eigvalsh(stated)[0])) < -1e-9 * np.abs(stated).max():
+        raise VaporTrackError(f"covariance has the negative eigenvalue {lowest:.3g}")
+    least = np.array([_LEAST_M, _LEAST_M, _LEAST_M, _LEVEL_RAD, _LEVEL_RAD, _LEAST_RAD])
+    if stated[2, 2] == 0.0:
+        heights_m = (prior_poses @ base_from_camera.inverse()).translation[:, 2]
+        base = Poses(base.rotation, np.array([*base.translation[:2], float(heights_m.mean())]))
+        least[2] = max(float(heights_m.std()), _OF_PRIOR_M)
+    diagonal = np.arange(6)
+    floor = np.where(stated[diagonal, diagonal] == 0.0, least, [_LEAST_M] * 3 + [_LEAST_RAD] * 3)
+    stated[diagonal, diagonal] += floor**2  # which makes any covariance definite
+    carry = base_from_camera.inverse().adjoint()
+    covariance = carry @ covariance_from_ros(stated, base) @ carry.T
+    return base @ base_from_camera, (covariance + covariance.T) / 2
 
 
 class Publisher:
-    """Publishes under the names that the settings give.
+    """Publishes estimates, poses, tf and diagnostics in a transport, and serves them to Foxglove.
 
-    Args:
-        outbox: Where messages go.
-        config: Settings.
-        hardware: What diagnostics are about.
-        floors: Of the building, for diagnostics; None where there is one only.
-        now_ns: The clock that messages are logged by.
-
-    Attributes:
-        last_sent: What was published of the last image.
+    `now_ns` is the clock of logged messages. `tell` is called once, where a message cannot be published. `last_sent`
+    has the messages of the last image.
     """
 
     def __init__(
-        self, outbox: Outbox, config: LiveConfig, hardware: str, floors: Floors | None, now_ns: Callable[[], int]
+        self,
+        transport: Transport,
+        foxglove: FoxgloveServer | None,
+        config: LiveConfig,
+        *,
+        hardware: str,
+        floors: Floors | None,
+        now_ns: Callable[[], int],
+        tell: Callable[[str], None],
     ) -> None:
-        self._outbox, self._config, self._now_ns = outbox, config, now_ns
+        self._foxglove, self._config, self._now_ns = foxglove, config, now_ns
+        self._tell, self._failed = tell, False
         self._hardware, self._floors = hardware, floors
         self.last_sent: list[RawMessage] = []
         self._kept_map_from_odom: Poses | None = None
-        self._told_anchor: Anchor | None = None  # what the motion that was told last led on from
-        self._told_ns = self._told_reading = self._tf_ns = 0  # of its odometry, and of its transform
-
-    def advertise(self) -> None:
-        """Be known by one's topics from the beginning."""
-        for message in estimate_messages(0, [], Poses.identity(0), under=self._config.under):
-            self._outbox.advertise(message.topic, message.type)
+        self._sent_anchor: Anchor | None = None  # of the last pose of the base
+        self._sent_ns = self._sent_reading = self._tf_ns = 0  # of its odometry, and of its transform
+        topics = {
+            each.topic: each.type for each in estimate_messages(0, [], Poses.identity(0), under=self._config.under)
+        }
         for name in ("pose", "base_pose"):
-            self._outbox.advertise(f"{self._config.under}/{name}", "geometry_msgs/PoseWithCovarianceStamped")
-        self._outbox.advertise("/diagnostics", "diagnostic_msgs/DiagnosticArray")
+            topics[f"{self._config.under}/{name}"] = "geometry_msgs/PoseWithCovarianceStamped"
+        topics["/diagnostics"] = "diagnostic_msgs/DiagnosticArray"
         if self._config.tf:
-            self._outbox.advertise("/tf", "tf2_msgs/TFMessage")
+            topics["/tf"] = "tf2_msgs/TFMessage"
+        self._publish = {topic: transport.advertise(topic, kind) for topic, kind in topics.items()}
 
     def forget(self) -> None:
-        """Have the last transform count no longer."""
+        """Discard the last transform."""
         self._kept_map_from_odom = None
 
     def send_belief(self, time_ns: int, estimate: Estimate) -> None:
-        """Publish what is believed of a time."""
+        """Publish the belief of a time."""
         modes = [(mode.world_from_camera, mode.covariance, mode.weight) for mode in estimate.modes]
         cloud = estimate.cloud(PUBLISHED_PARTICLES)
         messages = estimate_messages(time_ns, modes, cloud, under=self._config.under, frame=self._config.map_frame)
         self.last_sent = self._send(messages)
 
     def send_motion(self, belief: LiveBelief, at_network: Job | None) -> None:
-        """Publish the pose of the base at the latest odometry, and tf; neither while the estimate is not converged."""
+        """Publish the base's pose at the latest odometry, and tf; neither while the estimate is not converged."""
         reader, anchor, now, time_ns = belief.reader, belief.anchor, belief.now, belief.reader.odometry_ns
         if anchor is None or now is None or time_ns is None:
             return
-        if self._told_anchor is anchor and self._told_ns == time_ns:
+        if self._sent_anchor is anchor and self._sent_ns == time_ns:
             return
         if now.status == "converged" and anchor.reading == reader.readings:
             map_from_odom = self._kept_map_from_odom = anchor.map_from_odom
@@ -84,16 +189,16 @@ class Publisher:
             topic = f"{self._config.under}/base_pose"
             messages.append(pose_message(topic, frame, time_ns, map_from_odom @ odom_from_base, covariance))
         if self._config.tf:
-            # A transform that was told with its stamp before is refused by those who listen.
-            before_ns = self._tf_ns if self._told_reading == reader.readings else 0
+            # Listeners refuse a second transform of the same stamp.
+            before_ns = self._tf_ns if self._sent_reading == reader.readings else 0
             self._tf_ns = max(time_ns + round(self._config.tf_ahead_s * 1e9), before_ns + 1)
             messages.append(tf_message(self._tf_ns, frame, reader.roles.odometry_frame, map_from_odom))
         self._send(messages)
-        self._told_anchor, self._told_ns, self._told_reading = anchor, time_ns, reader.readings
+        self._sent_anchor, self._sent_ns, self._sent_reading = anchor, time_ns, reader.readings
 
     def send_diagnostics(self, estimate: Estimate | None, silent: str | None, values: Mapping[str, object]) -> None:
-        """Publish how things are, see `diagnostics_message`."""
-        told = diagnostics_message(
+        """Publish diagnostics, see `diagnostics_message`."""
+        message = diagnostics_message(
             self._now_ns(),
             hardware=self._hardware,
             estimate=estimate,
@@ -101,7 +206,19 @@ class Publisher:
             values=values,
             floors=self._floors,
         )
-        self._send([told])
+        self._send([message])
 
     def _send(self, messages: list[Message]) -> list[RawMessage]:
-        return self._outbox.send(messages, self._now_ns())
+        sent, now_ns = list[RawMessage](), self._now_ns()
+        for message in messages:
+            data = encoder(message.type)(message.fields)
+            try:
+                self._publish[message.topic](data)
+            except VaporTrackError as error:  # the network may be back in a moment
+                if not self._failed:
+                    self._failed = True
+                    self._tell(f"{message.topic} could not be published: {error}")
+            sent.append(RawMessage(message.topic, now_ns, data, message.type, "cdr", b""))
+            if self._foxglove is not None:
+                self._foxglove.write(sent[-1])
+        return sent

@@ -1,4 +1,4 @@
-"""MCAP files of live localization: everything that comes, for which it never waits, and one moment when asked for."""
+"""MCAP files of live localization: a recording of all messages, and snapshots."""
 
 from __future__ import annotations
 
@@ -14,9 +14,11 @@ import cv2
 from mcap.writer import CompressionType, Writer
 
 from filtering.errors import quoted
+from sequences.atomic import atomic_output
 from sequences.errors import SequenceError
 from sequences.frame import Frame
-from sequences.recordings.mcap_writer import CAMERA_FRAME, MessageChannels, MessageWriter, ros_header
+from sequences.recordings.mcap_writer import CAMERA_FRAME, MessageChannels, ros_header
+from sequences.recordings.message_definitions import encoder
 from sequences.recordings.source import RawMessage
 
 _MOST_WAITING = 256 * 2**20  # bytes
@@ -25,19 +27,18 @@ _IMAGE = "sensor_msgs/CompressedImage"
 
 
 class MessageRecorder:
-    """Writes messages as they are; used in a `with` block, at whose end the file gets its name.
+    """Writes messages to NAME.incomplete, renamed at the end of its `with` block.
 
-    Until then it is called NAME.incomplete, and of a process that was killed that remains: a recording of a robot is
-    not thrown away, and the next one of that name calls it NAME.incomplete.1, and so on. A full disk ends the
-    recording, not the localization.
+    The file of a killed process is kept: the next recorder renames it to NAME.incomplete.1, and so on. A full disk
+    ends the recording, not the localization.
 
     Attributes:
-        number: How many messages were written.
-        lost: How many messages were not, as the disk was too slow.
-        error: What ended the recording early; None where nothing did.
+        number: Number of written messages.
+        lost: Number of messages that were dropped, because the disk was too slow.
+        error: Reason of an early end; None without one.
 
     Raises:
-        SequenceError: the file is there already, or cannot be written.
+        SequenceError: the file exists, or cannot be written.
     """
 
     def __init__(self, path: Path) -> None:
@@ -50,7 +51,9 @@ class MessageRecorder:
         if not path.parent.is_dir():
             raise SequenceError(f"{path}: cannot write, expected the folder {path.parent} to exist")
         try:
-            _put_aside(self._partial)
+            if self._partial.exists():  # of a killed process
+                names = (self._partial.with_name(f"{self._partial.name}.{n}") for n in count(1))
+                self._partial.rename(next(name for name in names if not name.exists()))
             self._file = self._partial.open("xb")
         except OSError as error:
             raise SequenceError(f"{path}: cannot write: {error.strerror or error}") from error
@@ -71,7 +74,7 @@ class MessageRecorder:
         self.close()
 
     def write(self, raw: RawMessage) -> None:
-        """Take a message; it is written soon, or counted as lost."""
+        """Queue a message, or count it as lost."""
         if self.error is not None or self._bytes > _MOST_WAITING:
             self.lost += 1
             return
@@ -103,36 +106,23 @@ class MessageRecorder:
                 self.lost += 1
 
 
-def _put_aside(left: Path) -> None:
-    """Give what a killed process left a number. Raises OSError where that cannot be."""
-    if left.exists():
-        number = next(n for n in count(1) if not left.with_name(f"{left.name}.{n}").exists())
-        left.rename(left.with_name(f"{left.name}.{number}"))
-
-
-class _Snapshot(MessageWriter):
-    def __enter__(self) -> _Snapshot:
-        self._open()
-        return self
-
-    def write(self, frame: Frame, believed: Iterable[RawMessage]) -> None:
-        messages = list(believed)
-        now_ns = max((raw.log_time_ns for raw in messages), default=frame.time_ns)
-        _, png = cv2.imencode(".png", cv2.cvtColor(frame.image, cv2.COLOR_RGB2BGR))
-        header = ros_header(frame.time_ns, CAMERA_FRAME)
-        self._write("/image", _IMAGE, {"header": header, "format": "png", "data": png.tobytes()}, now_ns)
-        for raw in messages:
-            self._channels.write(raw)
-
-
 def write_snapshot(folder: Path, frame: Frame, believed: Iterable[RawMessage]) -> Path:
-    """Write the image, undistorted as the network saw it, and the messages that were published of it.
+    """Write an undistorted image, and the messages that were published of it.
 
     Raises:
         SequenceError, OSError: the file cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"snapshot-{frame.time_ns}.mcap"
-    with _Snapshot(path) as snapshot:
-        snapshot.write(frame, believed)
+    messages = list(believed)
+    now_ns = max((raw.log_time_ns for raw in messages), default=frame.time_ns)
+    _, png = cv2.imencode(".png", cv2.cvtColor(frame.image, cv2.COLOR_RGB2BGR))
+    image = {"header": ros_header(frame.time_ns, CAMERA_FRAME), "format": "png", "data": png.tobytes()}
+    with atomic_output(path) as partial, open(partial, "wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros2")
+        channels = MessageChannels(writer)
+        for raw in [RawMessage("/image", now_ns, encoder(_IMAGE)(image), _IMAGE, "cdr", b""), *messages]:
+            channels.write(raw)
+        writer.finish()
     return path

@@ -1,17 +1,19 @@
-"""The loop of live localization: messages in, the newest image to the network, what it says to the filter, poses out.
+"""The loop of live localization: messages in, the newest image to the network, its posterior to the filter, poses out.
 
-One thread takes messages, steps the filter and publishes, and has all state but for which image was looked at last: the
-network has a thread of its own, and knows that.
+One thread takes messages, steps the filter, publishes, and holds all state.
 """
 
 from __future__ import annotations
 
+import asyncio
 import queue
+import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -22,8 +24,7 @@ from filtering.errors import VaporTrackError
 from filtering.estimate import Estimate
 from filtering.localizer import ParticleLocalizer
 from filtering.posterior import PosePosterior
-from sequences.frame import Frame
-from sequences.live.reader import LiveReader, open_live
+from sequences.live.reader import open_live
 from sequences.live.transport import Offer, Transport
 from sequences.options import ReadingOptions
 from sequences.recordings.message_definitions import decoder
@@ -32,47 +33,31 @@ from sequences.recordings.source import RawMessage
 from vapor.pipeline.model import LoadedModel
 from vapor.reporting.rerun_place import Place
 from vapor.reporting.rerun_viewer import RerunViewer
-from vapor.robot.belief import Anchor, LiveBelief
+from vapor.robot.belief import LiveBelief, LiveEstimate
 from vapor.robot.config import LiveConfig
-from vapor.robot.estimate import LiveEstimate
-from vapor.robot.foxglove_server import FoxgloveServer
 from vapor.robot.health import Health
-from vapor.robot.messages import camera_of_initial_pose
 from vapor.robot.network import Job, Network, Observed
-from vapor.robot.outbox import Outbox, Sink
-from vapor.robot.publisher import Publisher
+from vapor.robot.publisher import Publisher, camera_of_initial_pose
 from vapor.robot.recorder import MessageRecorder, write_snapshot
-from vapor.robot.watching import WatchingViewer
+from vapor.robot.viewers import FoxgloveServer, WatchingViewer
 from vapor.threads import limited_threads
 
 LAYOUT = Path(__file__).with_name("foxglove_layout.json")
 """For Foxglove, to import."""
-_TICK_S = 1.0  # between diagnostics, and between looks at what is silent
+_TICK_S = 1.0  # between diagnostics
 _REFRESH_TICKS = 5  # between looks at who publishes
 _AT_ONCE = 500
 _BEFORE_CLOCK = 2000
+_MOST_WAITING = 10  # each has its image
 _CLOCK, _INITIAL_POSE = "/clock", "/initialpose"
-"""Topics that are listened to; under the name of those that are published also `start_anew` and `save_snapshot`."""
-
-
-class Stop:
-    """An event: end."""
 
 
 class _Stopped(Exception):
-    """There was one."""
+    """An event: end."""
 
 
 class LiveSession:
-    """Localizes one robot from its topics until it is stopped.
-
-    Args:
-        model: The model.
-        transport: The system.
-        reading: What to read of it.
-        config: Settings.
-        tell: Told what a person should know, in a line.
-    """
+    """Localizes one robot from its topics until it is stopped; see `live` for the arguments."""
 
     def __init__(
         self,
@@ -80,16 +65,15 @@ class LiveSession:
         transport: Transport,
         reading: ReadingOptions,
         config: LiveConfig,
-        *,
-        tell: Callable[[str], None] = lambda _: None,
+        tell: Callable[[str], None],
     ) -> None:
         self._model, self._transport, self._reading, self._config = model, transport, reading, config
         self._on_estimate: Callable[[LiveEstimate], None] = lambda _: None
-        self._tell = tell
+        self._tell, self._has_begun = tell, False
         self._events: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._controls = {
             _INITIAL_POSE: ("geometry_msgs/PoseWithCovarianceStamped", self._set_pose),
-            f"{config.under}/start_anew": ("std_msgs/Empty", self._start_anew),
+            f"{config.under}/reset": ("std_msgs/Empty", self._reset),
             f"{config.under}/save_snapshot": ("std_msgs/Empty", self._save_snapshot),
         }
         if config.sim_time:
@@ -102,46 +86,99 @@ class LiveSession:
 
     @property
     def skipped(self) -> dict[str, int]:
-        """How many images were left out so far, by reason."""
+        """Number of images that were left out so far, by reason."""
         return self._health.skipped
 
     @property
     def localized(self) -> int:
-        """How many images were localized so far."""
+        """Number of images that were localized so far."""
         return self._health.localized
 
     def stop(self) -> None:
-        """Have `run` end soon; may be called from any thread."""
-        self._events.put(Stop())
+        """End soon; callable from any thread."""
+        self._events.put(_Stopped())
 
-    def run(self, on_estimate: Callable[[LiveEstimate], None] = lambda _: None) -> None:
-        """Localize until `stop` is called, or an interruption comes.
-
-        Args:
-            on_estimate: Called after every image; until it returns, nothing else goes on.
+    async def __aiter__(self) -> AsyncIterator[LiveEstimate]:
+        """Estimates as they come, until the loop over them ends; of ten that wait the oldest is dropped.
 
         Raises:
-            VaporTrackError: the topics cannot be used, or what was asked for cannot be written or served.
+            VaporTrackError: as `run`.
         """
+        loop = asyncio.get_running_loop()
+        waiting: asyncio.Queue[LiveEstimate | BaseException | None] = asyncio.Queue()
+
+        def put(item: LiveEstimate | BaseException | None) -> None:
+            if waiting.qsize() >= _MOST_WAITING:
+                waiting.get_nowait()
+            waiting.put_nowait(item)
+
+        def hand_over(item: LiveEstimate | BaseException | None) -> None:
+            if not loop.is_closed():
+                loop.call_soon_threadsafe(put, item)
+
+        def work() -> None:
+            end: BaseException | None = None
+            try:
+                self.run(hand_over)
+            except BaseException as error:
+                end = error
+            hand_over(end)
+
+        thread = threading.Thread(target=work, name="live", daemon=True)
+        thread.start()
+        try:
+            while (item := await waiting.get()) is not None:
+                if isinstance(item, BaseException):
+                    raise item
+                yield item
+        finally:
+            self.stop()
+            await asyncio.to_thread(thread.join)
+
+    def run(self, on_estimate: Callable[[LiveEstimate], None] = lambda _: None) -> None:
+        """Localize until `stop` is called, or an interruption comes, and close the transport.
+
+        Args:
+            on_estimate: Called after every image; until it returns, the loop waits.
+
+        Raises:
+            VaporTrackError: the topics cannot be used, or an output cannot be written or served.
+        """
+        if self._has_begun:
+            raise VaporTrackError("this live localization has ended, expected another call of `live`")
+        self._has_begun = True
         config, self._on_estimate = self._config, on_estimate
         with ExitStack() as block:
+            block.callback(self._transport.close)
             block.enter_context(limited_threads(config.threads))
             self._recorder: MessageRecorder | None = None
             if config.record is not None:
                 path = config.record.with_name(time.strftime(config.record.name))
                 self._recorder = self._health.recorder = block.enter_context(MessageRecorder(path))
-            self._sinks: list[Sink] = []
+            self._foxglove: FoxgloveServer | None = None
             if config.foxglove:
-                server = block.enter_context(FoxgloveServer(config.foxglove_host, config.foxglove_port))
-                self._sinks.append(server)
+                server = FoxgloveServer(config.foxglove_host, config.foxglove_port)
+                self._foxglove = block.enter_context(server)
                 host = f"[{config.foxglove_host}]" if ":" in config.foxglove_host else config.foxglove_host
                 self._tell(f"Foxglove: ws://{host}:{server.port}, layout {LAYOUT}")
             self._viewer: WatchingViewer | None = None
             if config.view or config.view_at is not None:
-                self._viewer = block.enter_context(WatchingViewer(self._open_viewer, self._tell))
-            outbox = Outbox(self._transport, self._sinks, self._tell)
-            self._publisher = Publisher(outbox, config, self._model.name, self._model.observation.floors, self._now_ns)
-            self._publisher.advertise()
+                started = time.strftime("%Y-%m-%d %H:%M:%S")  # distinguishes two sessions in one viewer
+                place = Place.of_model(self._model.observation.description)
+                title = f"{self._model.name} {started}"
+                opened = partial(
+                    RerunViewer, spawn=config.view, connect=config.view_at, title=title, place=place, live=True
+                )
+                self._viewer = block.enter_context(WatchingViewer(opened, self._tell))
+            self._publisher = Publisher(
+                self._transport,
+                self._foxglove,
+                config,
+                hardware=self._model.name,
+                floors=self._model.observation.floors,
+                now_ns=self._now_ns,
+                tell=self._tell,
+            )
             for topic, (message_type, _) in self._controls.items():
                 offer = Offer(topic, message_type, reliable=False, latched=False)  # hears both kinds of publishers
                 self._transport.subscribe(offer, self._events.put)
@@ -150,13 +187,7 @@ class LiveSession:
             except _Stopped:
                 return
 
-    def _open_viewer(self) -> RerunViewer:
-        title = f"{self._model.name} {time.strftime('%Y-%m-%d %H:%M:%S')}"  # of two at once, each is shown for itself
-        place = Place.of_model(self._model.observation.description)
-        return RerunViewer(spawn=self._config.view, connect=self._config.view_at, title=title, place=place, live=True)
-
     def _open(self) -> LiveBelief:
-        """Wait for topics, and begin to believe."""
         reader = open_live(self._transport, self._events, self._reading, admit=self._admit, waiting=self._say_waiting)
         calibration, settings = self._model.observation.description.calibration, self._config.localizer
         fit = calibration.odometry if self._config.fitted_odometry else None
@@ -166,7 +197,12 @@ class LiveSession:
         localizer = ParticleLocalizer(observation, settings, rng=np.random.default_rng(self._config.seed))
         self._health.reader = reader
         self._belief = LiveBelief(localizer, observation, reader, fit)
-        self._tell_roles(reader)
+        roles = reader.roles
+        odometry = roles.odometry.name if roles.odometry is not None else f"tf from {roles.odometry_frame}"
+        info = f", {roles.camera_info.name}" if roles.camera_info is not None else ""
+        self._tell(f"localizes by {roles.image.name}{info} and {odometry}")
+        for notice in [*self._model.observation.notices, *self._health.notices()]:
+            self._tell(notice)
         return self._belief
 
     # --- events -------------------------------------------------------------------------------------
@@ -185,7 +221,6 @@ class LiveSession:
                     self._tick(belief)
 
     def _take_all(self, belief: LiveBelief, timeout_s: float) -> None:
-        """Take the events that are there, or wait for one."""
         for _ in range(_AT_ONCE):
             try:
                 event = self._events.get(timeout=timeout_s)
@@ -195,23 +230,19 @@ class LiveSession:
             if isinstance(event, Observed):
                 self._localize(belief, event)
             elif (raw := self._admit(event)) is not None:
-                self._take(belief.reader, raw)
-
-    def _take(self, reader: LiveReader, raw: RawMessage) -> None:
-        is_later = reader.take(raw)
-        if raw.topic == reader.roles.image.name:
-            self._health.image_came()
-        elif is_later:
-            self._health.odometry_came()
+                is_later = belief.reader.take(raw)
+                if raw.topic == belief.reader.roles.image.name:
+                    self._health.image_came()
+                elif is_later:
+                    self._health.odometry_came()
 
     def _admit(self, event: Any) -> RawMessage | None:
-        """Record and serve a message; gives it where it is to be read. Raises _Stopped where that was asked for."""
-        if isinstance(event, Stop):
-            raise _Stopped
+        """Record and serve an event; gives the messages to be read. Raises _Stopped after `stop`."""
+        if isinstance(event, _Stopped):
+            raise event
         if not isinstance(event, RawMessage):
             return None
-        is_clock = event.topic == _CLOCK and self._config.sim_time
-        if self._config.sim_time and not is_clock:
+        if self._config.sim_time and event.topic != _CLOCK:
             if self._clock_ns is None:
                 self._before_clock.append(event)
                 return None
@@ -221,21 +252,19 @@ class LiveSession:
         if event.topic in self._controls:
             self._control(event)
             return None
-        for sink in self._sinks:
-            sink.write(event)
+        if self._foxglove is not None:
+            self._foxglove.write(event)
         return event
 
-    # --- what a person asks for ---------------------------------------------------------------------
+    # --- control messages -----------------------------------------------------------------------------
 
     def _control(self, raw: RawMessage) -> None:
-        """Do what a message asks for, or tell why that cannot be."""
         message_type, control = self._controls[raw.topic]
         try:
             message = decoder(message_type)(raw.data)
         except Exception as error:  # damaged bytes raise whatever they lead to
-            self._tell(
-                f"{raw.topic}: {len(raw.data)} bytes that are no {message_type}: {error or type(error).__name__}"
-            )
+            problem = error or type(error).__name__
+            self._tell(f"{raw.topic}: {len(raw.data)} bytes cannot be decoded as {message_type}: {problem}")
             return
         try:
             control(message)
@@ -250,41 +279,40 @@ class LiveSession:
         while self._before_clock:
             self._events.put(self._before_clock.popleft())
 
-    def _start_anew(self, _: SimpleNamespace) -> None:
+    def _reset(self, _: SimpleNamespace) -> None:
         if self._belief is not None:
             self._belief.forget()
             self._network.forget()
             self._publisher.forget()
-        self._tell("starts anew")
+        self._tell("reset")
 
     def _set_pose(self, message: SimpleNamespace) -> None:
         belief = self._belief
         if belief is None or (time_ns := belief.reader.odometry_ns) is None:
-            raise VaporTrackError("there is no odometry yet, expected some before a pose is stated")
+            raise VaporTrackError("no odometry yet, expected some before a pose is stated")
         frame = frame_name(message.header.frame_id)
         if frame != frame_name(self._config.map_frame):
             raise VaporTrackError(f"pose in {frame!r}, expected one in {self._config.map_frame!r}")
         description = self._model.observation.description
         pose, covariance = camera_of_initial_pose(message, belief.reader.base_from_camera, description.prior_poses)
-        if belief.reader.odom_from_base(stamp_ns(message.header)) is not None:  # else it is of now
+        if belief.reader.odom_from_base(stamp_ns(message.header)) is not None:  # else it holds for now
             time_ns = stamp_ns(message.header)
         anchor = belief.start_at(time_ns, pose, covariance, description.calibration.errors)
         self._network.forget()
         self._publisher.forget()
         self._believe(belief, time_ns, anchor.estimate)
-        self._tell(f"starts at x {pose.translation[0]:.2f} m, y {pose.translation[1]:.2f} m, as {_INITIAL_POSE} says")
+        self._tell(f"starts at x {pose.translation[0]:.2f} m, y {pose.translation[1]:.2f} m, by {_INITIAL_POSE}")
 
     def _save_snapshot(self, _: SimpleNamespace) -> None:
         anchor = None if self._belief is None else self._belief.anchor
         if anchor is None or anchor.frame is None:
-            raise VaporTrackError("nothing was localized yet, expected an estimate to save")
+            raise VaporTrackError("no image was localized yet, expected an estimate to save")
         path = write_snapshot(self._config.snapshots, anchor.frame, self._publisher.last_sent)
         self._tell(f"snapshot {path}")
 
     # --- images -------------------------------------------------------------------------------------
 
     def _submit(self, belief: LiveBelief) -> None:
-        """Give the network the newest image, if it is free and there is one."""
         reader = belief.reader
         if self._network.job is not None or (frame := reader.newest_frame()) is None:
             return
@@ -293,7 +321,6 @@ class LiveSession:
         self._network.start(Job(frame, reader.readings, pose, self._now_ns() if arrived_ns is None else arrived_ns))
 
     def _localize(self, belief: LiveBelief, observed: Observed) -> None:
-        """Step the filter by what the network says of an image, and tell what comes of it."""
         job, posterior = observed.job, observed.posterior
         counts = self._network.end(job)
         self._submit(belief)
@@ -315,22 +342,19 @@ class LiveSession:
         self._health.image_was_localized(latency_ms)
         if self._viewer is not None:
             self._viewer.log(job.frame, anchor.estimate, posterior.samples)
-        self._on_estimate(self._live_estimate(belief, job.frame, anchor, latency_ms))
-
-    def _live_estimate(self, belief: LiveBelief, frame: Frame, anchor: Anchor, latency_ms: float) -> LiveEstimate:
         estimate = anchor.estimate
         map_from_odom = anchor.map_from_odom if estimate.status == "converged" else None
-        return LiveEstimate(frame, estimate, belief.map_from_base(estimate), map_from_odom, latency_ms, self.skipped)
+        map_from_base = belief.map_from_base(estimate)
+        self._on_estimate(LiveEstimate(job.frame, estimate, map_from_base, map_from_odom, latency_ms, self.skipped))
 
     def _refuse(self, error: VaporTrackError) -> None:
         if not self._health.refused:
             self._tell(f"an image could not be used: {error}")
         self._health.refused += 1
 
-    # --- what is told -------------------------------------------------------------------------------
+    # --- reports ------------------------------------------------------------------------------------
 
     def _believe(self, belief: LiveBelief, time_ns: int, estimate: Estimate) -> None:
-        """Publish what is believed of a time; it is the belief of now."""
         belief.now = estimate
         self._publisher.send_belief(time_ns, estimate)
         if estimate.status != self._status:
@@ -340,7 +364,6 @@ class LiveSession:
             self._send_diagnostics()
 
     def _tick(self, belief: LiveBelief) -> None:
-        """Once a second: go on without images where none come, and say how things are."""
         for notice in self._health.notices():
             self._tell(notice)
         if self._network.job is None:
@@ -360,11 +383,3 @@ class LiveSession:
             problem = f"no message on {_CLOCK} yet (--sim-time)"
         self._tell(f"waits: {problem}")
         self._send_diagnostics(f"waits: {problem}")
-
-    def _tell_roles(self, reader: LiveReader) -> None:
-        roles = reader.roles
-        odometry = roles.odometry.name if roles.odometry is not None else f"tf from {roles.odometry_frame}"
-        info = f", {roles.camera_info.name}" if roles.camera_info is not None else ""
-        self._tell(f"localizes by {roles.image.name}{info} and {odometry}")
-        for notice in [*self._model.observation.notices, *self._health.notices()]:
-            self._tell(notice)

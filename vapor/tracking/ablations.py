@@ -19,38 +19,26 @@ from vapor.tracking.loop import Localizer
 
 @dataclass(frozen=True)
 class Ablation:
-    """Changes to the settings of a filter.
+    """Changes to the settings of a filter and to the error model.
 
-    Attributes:
-        meaning: What is different.
-        localizer: Settings of the filter -> those of the ablation.
-        errors: How images err -> how the ablation takes them to.
-        told_of_kidnap: Whether it is told that the camera was carried off, and starts anew there.
+    With `known_kidnap` the filter restarts where the camera was carried to.
     """
 
     meaning: str
     localizer: Callable[[LocalizerConfig], LocalizerConfig] = lambda config: config
     errors: Callable[[ErrorModel], ErrorModel] = lambda errors: errors
-    told_of_kidnap: bool = False
+    known_kidnap: bool = False
 
     def start(self, config: LocalizerConfig, *, rng: np.random.Generator, kidnap_index: int | None = None) -> Localizer:
-        """A filter without that part.
-
-        Args:
-            config: Settings of the filter, already changed by `localizer`.
-            rng: Source of its random draws.
-            kidnap_index: First image after the camera was carried off; None where it was not.
-        """
+        """The ablated filter, of changed settings; `kidnap_index` is the first image after a kidnap."""
 
         def begin() -> ParticleLocalizer:
             return ParticleLocalizer(None, config, rng=rng)
 
-        return _ToldOfKidnap(begin, kidnap_index) if self.told_of_kidnap else begin()
+        return _KnownKidnap(begin, kidnap_index) if self.known_kidnap else begin()
 
 
-class _ToldOfKidnap:
-    """A filter that starts anew at one image, without the odometry that leads there."""
-
+class _KnownKidnap:
     def __init__(self, begin: Callable[[], ParticleLocalizer], kidnap_index: int | None) -> None:
         self._begin = begin
         self._kidnap_index = kidnap_index
@@ -64,8 +52,8 @@ class _ToldOfKidnap:
         return self._localizer.update(posterior, odometry, elapsed_s=elapsed_s)
 
 
-def _each_image_anew(errors: ErrorModel) -> ErrorModel:
-    verified = None if errors.verified is None else _each_image_anew(errors.verified)
+def _independent(errors: ErrorModel) -> ErrorModel:
+    verified = None if errors.verified is None else _independent(errors.verified)
     new = {"lasting_fraction": 0.0, "length_m": 1e-6 * errors.length_m, "length_rad": 1e-6}
     return replace(errors, **new, verified=verified)
 
@@ -74,17 +62,17 @@ def _gaussian(errors: ErrorModel) -> ErrorModel:
     return replace(errors, tail=1e6, verified=None if errors.verified is None else _gaussian(errors.verified))
 
 
-# To add one: a name, what is different, and a function of the settings.
+# To add one: a name, the difference, and a function of the settings.
 ABLATIONS: Mapping[str, Ablation] = MappingProxyType(
     {
         "full": Ablation("the filter as it is"),
-        "no-lasting-errors": Ablation("every image errs anew, and its view is new", errors=_each_image_anew),
+        "no-correlation": Ablation("every image errs independently, and its view is new", errors=_independent),
         "no-tails": Ablation("Gaussian errors", errors=_gaussian),
         "no-adaptation": Ablation(
-            "images err as their model says, whatever odometry shows",
+            "images err as modelled, whatever odometry shows",
             localizer=lambda config: replace(config, adapt_errors=False),
         ),
-        "trusting-shares": Ablation(
+        "trusting-fractions": Ablation(
             "a place is as probable as the fraction of the samples in it",
             errors=lambda errors: replace(errors, possible_fraction=1.0),
         ),
@@ -100,7 +88,7 @@ ABLATIONS: Mapping[str, Ablation] = MappingProxyType(
             "hypotheses are added where the images cast doubt, as in AMCL",
             localizer=lambda config: replace(config, births="augmented-mcl"),
         ),
-        "told-of-kidnap": Ablation("starts anew where the camera was carried to", told_of_kidnap=True),
+        "known-kidnap": Ablation("restarts where the camera was carried to", known_kidnap=True),
     }
 )
 """Ablations by name; `full` is none."""

@@ -1,40 +1,92 @@
-"""The filter and its baselines over a passage: what each believed, and the poses of every method."""
+"""The filter and its baselines over a sequence with known posteriors and true poses."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Collection
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from jaxtyping import Int64
 
 from filtering.config import LocalizerConfig
 from filtering.error_model import ErrorModel
 from filtering.estimate import Estimate, Mode
+from filtering.motion import Odometry
+from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
+from sequences.odometry_fit.result import OdometryFit
 from vapor.tracking.ablations import ABLATIONS, Ablation
-from vapor.tracking.belief import Belief, mode_status
-from vapor.tracking.history import History
-from vapor.tracking.loop import StepLoop
+from vapor.tracking.loop import Belief, History, StepLoop, mode_status
 from vapor.tracking.methods import BASELINES, poses_at_end, start_baselines
-from vapor.tracking.passage import Passage
+
+
+def dead_reckoning(first_pose: Poses, odometry: Sequence[Odometry | None]) -> Poses:
+    """Poses (n,) from odometry alone.
+
+    Args:
+        first_pose: world_from_camera of the first image, one pose.
+        odometry: Motion since the previous image, (n,), n ≥ 1; the first is not used. At None the pose stays.
+    """
+    poses = [first_pose]
+    for motion in odometry[1:]:
+        poses.append(poses[-1] if motion is None else poses[-1] @ motion.previous_from_current)
+    return Poses.stack(poses)
+
+
+@dataclass(frozen=True)
+class Passage:
+    """The input of the methods for n images, and the truth.
+
+    Attributes:
+        times_ns: Stamps, increasing.
+        odometry: Camera motion since the image before; None where unknown. The first is not used.
+        truth: True poses, world_from_camera, (n,).
+        posterior: Gives the posterior of an image, by its number.
+    """
+
+    times_ns: Int64[np.ndarray, " n"]
+    odometry: tuple[Odometry | None, ...]
+    truth: Poses
+    posterior: Callable[[int], PosePosterior]
+
+    def restated(self, fit: OdometryFit | None) -> Passage:
+        """The passage with the fitted white noise of the odometry; with None, as it is."""
+        if fit is None:
+            return self
+        return replace(self, odometry=tuple(None if each is None else fit.restated(each) for each in self.odometry))
+
+    def part(self, start: int, stop: int) -> Passage:
+        """The images start to stop as a passage."""
+        return Passage(
+            self.times_ns[start:stop],
+            self.odometry[start:stop],
+            self.truth[start:stop],
+            lambda image: self.posterior(start + image),
+        )
+
+    @cached_property
+    def dead_reckoning(self) -> Poses:
+        """Poses from odometry alone, (n,); wherever odometry is missing they restart at the true pose."""
+        starts = [i for i, motion in enumerate(self.odometry) if i == 0 or motion is None]
+        segments = zip(starts, [*starts[1:], len(self.odometry)], strict=True)
+        return Poses.concatenate([dead_reckoning(self.truth[a], self.odometry[a:b]) for a, b in segments])
+
+
+def posterior_of(samples: Poses, errors: ErrorModel, unfamiliarity: float) -> PosePosterior:
+    """The posterior of an image by its samples; without any, an uninformative one, see `ParticleLocalizer.observe`."""
+    if len(samples):
+        return PosePosterior.from_samples(samples, errors, unfamiliarity=unfamiliarity)
+    return replace(PosePosterior.nothing(errors), unfamiliarity=unfamiliarity)
 
 
 @dataclass(frozen=True)
 class Followed:
-    """What filter and baselines made of a passage of n images, one image after the other.
+    """The results of filter and baselines on a passage of n images.
 
-    Attributes:
-        passage: What they were given.
-        errors: How its images err.
-        config: Settings of the filter.
-        beliefs: What the filter believed, and the baselines that were asked for, by name.
-        image_modes: Places of each image's posterior alone, (n,).
-        history: What methods need that see the whole passage at once.
-        particles: Median number of particles of the filter.
-        step_ms: Median milliseconds of a step of the filter.
-        kidnap_index: First image after the camera was carried off; None where it was not.
+    `image_modes` are the places of each image's posterior alone. The number of particles and the milliseconds of a step
+    are medians.
     """
 
     passage: Passage
@@ -49,7 +101,7 @@ class Followed:
 
     @cached_property
     def poses(self) -> dict[str, Poses]:
-        """Poses of every method that goes from image to image, by name, world_from_camera, batches (n,)."""
+        """Poses of every method that goes from image to image, by name, world_from_camera, (n,) each."""
         return {
             "single_image": Poses.stack([modes[0].world_from_camera for modes in self.image_modes]),
             "dead_reckoning": self.passage.dead_reckoning,
@@ -57,7 +109,7 @@ class Followed:
         }
 
     def poses_at_end(self) -> dict[str, Poses]:
-        """Poses of every method that sees the whole passage at once, by name, world_from_camera, batches (n,)."""
+        """Poses of every method that sees the whole passage at once, by name, world_from_camera, (n,) each."""
         return poses_at_end(self.history, self.errors, self.config)
 
 
@@ -71,17 +123,9 @@ def follow(
     kidnap_index: int | None = None,
     baselines: Collection[str] = BASELINES,
 ) -> Followed:
-    """Localize a passage by filter and baselines, each with the same errors and the same odometry.
+    """Localize a passage, whose first image has a place, by filter and baselines with the same errors and odometry.
 
-    Args:
-        passage: Its first image has a place.
-        errors: How its images err.
-        config: Settings of the filter; its slow errors and gaps are those of all methods.
-        rng: Source of all random draws.
-        ablation: What is different about the filter. What it changes in `errors` and `config` the caller has changed
-            already, as that concerns all methods.
-        kidnap_index: First image after the camera was carried off; None where it was not.
-        baselines: Names of those to run; a Gaussian sum takes as long as the filter.
+    The ablation starts the filter; its changes of `errors` and `config` are already made, as they concern all methods.
 
     Raises:
         VaporTrackError: unusable odometry or posteriors.

@@ -1,21 +1,25 @@
-"""The step loop: image after image, the posterior and the odometry go to the filter and to every baseline."""
+"""The step loop: posterior and odometry of each image go to the filter and to every baseline."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Protocol, runtime_checkable
 
-from filtering.estimate import Estimate, Mode, posterior_modes
+from filtering.estimate import Estimate, Mode, Status, posterior_modes
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
+from filtering.se3 import Poses
+
+MOST_MODES = 16
+"""Kept of each image, the heaviest: enough for a place among many alike, and bounded in memory over a long run."""
 
 
 @runtime_checkable
 class Localizer(Protocol):
-    """The filter as the loop sees it: `ParticleLocalizer`, or an ablation of it."""
+    """The filter: `ParticleLocalizer`, or an ablation of it."""
 
     def update(self, posterior: PosePosterior, odometry: Odometry | None, /, *, elapsed_s: float) -> Estimate:
         """Localize one image, see `ParticleLocalizer.update`."""
@@ -24,35 +28,25 @@ class Localizer(Protocol):
 
 @runtime_checkable
 class Tracker(Protocol):
-    """A baseline that goes from image to image, as the filter does."""
+    """A baseline that goes from image to image."""
 
-    def update(self, posterior: PosePosterior, odometry: Odometry | None, *, elapsed_s: float) -> tuple[Mode, ...]:
-        """Take one image.
-
-        Args:
-            posterior: The image's posterior.
-            odometry: Motion since the previous image, not used on the first one; None where it is unknown.
-            elapsed_s: Seconds since the previous image.
-
-        Returns:
-            Hypotheses, at least one, the best one first.
-        """
+    def update(self, posterior: PosePosterior, odometry: Odometry | None, /, *, elapsed_s: float) -> Estimate | Mode:
+        """Take one image; odometry is None where unknown, and not used on the first one."""
         ...
 
 
 @dataclass(frozen=True)
 class Step:
-    """What the methods made of one image.
+    """The results of the methods for one image.
 
     Attributes:
         posterior: The image's posterior.
-        estimate: What the filter believes after the image.
+        estimate: The filter's estimate.
         image_modes: Places of the image's posterior alone, by falling weight. Where it has none: those of the last
-            image that had any; before that, the filter's modes.
-        evidence: Places of the image's posterior, none where it says nothing: what a smoother is told.
+            image with any; before that, the filter's modes.
+        evidence: Places of the image's posterior for the smoother; none of an uninformative image.
         baselines: Hypotheses of every baseline by its name, the best one first.
-        step_ms: Wall-clock milliseconds that posterior and filter took, without the baselines: in all, also where the
-            posterior was computed while the filter had the image before.
+        step_ms: Wall-clock milliseconds of posterior and filter together, without the baselines.
     """
 
     posterior: PosePosterior
@@ -64,11 +58,7 @@ class Step:
 
 
 class Baselines:
-    """Leads baselines from image to image, all with the same posteriors and odometry.
-
-    Args:
-        trackers: The baselines by name, see `start_baselines`.
-    """
+    """Steps baselines, all with the same posteriors and odometry."""
 
     def __init__(self, trackers: Mapping[str, Tracker]) -> None:
         self._trackers, self._clock = trackers, _Clock()
@@ -76,14 +66,11 @@ class Baselines:
     def step(self, time_ns: int, posterior: PosePosterior, odometry: Odometry | None) -> dict[str, tuple[Mode, ...]]:
         """Take one image, see `StepLoop.step`; gives hypotheses by the baselines' names, the best one first."""
         elapsed_s = self._clock.elapsed_s(time_ns)
-        return {
-            name: tracker.update(posterior, odometry, elapsed_s=elapsed_s) for name, tracker in self._trackers.items()
-        }
+        found = {name: each.update(posterior, odometry, elapsed_s=elapsed_s) for name, each in self._trackers.items()}
+        return {name: each.modes if isinstance(each, Estimate) else (each,) for name, each in found.items()}
 
 
 class _Clock:
-    """Seconds since the image before."""
-
     def __init__(self) -> None:
         self._previous_ns: int | None = None
 
@@ -94,12 +81,7 @@ class _Clock:
 
 
 class StepLoop:
-    """Leads the filter and its baselines from image to image, all with the same posteriors and odometry.
-
-    Args:
-        localizer: The filter.
-        baselines: The baselines by name, see `start_baselines`; none where they are led elsewhere.
-    """
+    """Steps the filter and its baselines (`start_baselines`), all with the same posteriors and odometry."""
 
     def __init__(self, localizer: Localizer, baselines: Mapping[str, Tracker] = MappingProxyType({})) -> None:
         self._localizer = localizer
@@ -114,13 +96,7 @@ class StepLoop:
         *,
         observe_ms: float,
     ) -> Step:
-        """Take one image.
-
-        Args:
-            time_ns: Stamp of the image.
-            posterior: Its posterior.
-            odometry: Motion since the previous image; None where it is unknown.
-            observe_ms: Milliseconds that the posterior took.
+        """Take one image, whose posterior took `observe_ms` milliseconds; odometry is None where unknown.
 
         Raises:
             VaporTrackError: unusable posterior or odometry.
@@ -139,3 +115,41 @@ class StepLoop:
             self._baselines.step(time_ns, posterior, odometry),
             step_ms,
         )
+
+
+@dataclass(frozen=True)
+class Belief:
+    """The belief of a method after each of n images, the reported hypothesis first."""
+
+    modes: Sequence[tuple[Mode, ...]]
+    status: Sequence[Status]
+
+    @property
+    def best(self) -> Poses:
+        """The reported poses, world_from_camera, (n,)."""
+        return Poses.stack([modes[0].world_from_camera for modes in self.modes])
+
+
+def mode_status(mode: Mode, converged_std_m: float, converged_weight: float) -> Status:
+    """The status of a baseline, by the weight and the position of its best mode."""
+    sure = mode.widest_std_m <= converged_std_m and mode.weight >= converged_weight
+    return "converged" if sure else "ambiguous"
+
+
+@dataclass(frozen=True)
+class History:
+    """The steps of n images, without posterior samples and particles; `filtered` are the filter's best modes."""
+
+    evidence: list[tuple[Mode, ...]] = field(default_factory=list)
+    odometry: list[Odometry | None] = field(default_factory=list)
+    normalized_distances: list[float] = field(default_factory=list)
+    filtered: list[Poses] = field(default_factory=list)
+    converged: list[bool] = field(default_factory=list)
+
+    def add(self, step: Step, odometry: Odometry | None) -> None:
+        """Append one image."""
+        self.evidence.append(step.evidence[:MOST_MODES])
+        self.odometry.append(odometry)
+        self.normalized_distances.append(step.estimate.normalized_distance)
+        self.filtered.append(step.estimate.modes[0].world_from_camera)
+        self.converged.append(step.estimate.status == "converged")

@@ -1,13 +1,12 @@
-"""The table of tracking methods: what each is called, where its trajectory is written, and how it is computed.
+"""The table of tracking methods, and the baselines.
 
-To add a baseline, write a class that fits `Tracker` in a file of its own in this folder, and add a row here. Runs,
-reports, pictures, benchmarks and their tables then include it.
+To add a baseline, write a class that fits `Tracker` and add a row to `METHODS`; reports and tables then include it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Literal, TypeVar
 
@@ -15,11 +14,47 @@ import numpy as np
 
 from filtering.config import LocalizerConfig
 from filtering.error_model import ErrorModel
+from filtering.localizer import ParticleLocalizer
 from filtering.se3 import Poses
-from vapor.tracking.baselines import GaussianSumTracker, KalmanTracker
-from vapor.tracking.history import History
-from vapor.tracking.loop import Tracker
-from vapor.tracking.smoothing import smooth_history
+from vapor.tracking.loop import History, Tracker
+
+GAUSSIANS = 15
+"""Gaussians of the Gaussian sum."""
+
+
+def _kalman(config: LocalizerConfig, rng: np.random.Generator) -> Tracker:
+    from filtering.kalman import KalmanConfig, KalmanLocalizer  # loads FilterPy, which takes a while
+
+    return KalmanLocalizer(KalmanConfig(slow_errors=config.slow_errors, gap=config.gap))
+
+
+def _gaussian_sum(config: LocalizerConfig, rng: np.random.Generator) -> Tracker:
+    return ParticleLocalizer(None, gaussian_sum(config), rng=rng)
+
+
+def gaussian_sum(config: LocalizerConfig) -> LocalizerConfig:
+    """The settings of the filter without births, truncated to its heaviest hypotheses: a Gaussian sum filter.
+
+    Source: Alspach and Sorenson, "Nonlinear Bayesian estimation using Gaussian sum approximations", 1972.
+    """
+    rates = {"kidnap_per_view": 0.0, "max_kidnap_per_view": 0.0}
+    return replace(config, **rates, births="rate", max_hypotheses=GAUSSIANS, resampling="heaviest")
+
+
+def smooth_history(history: History, errors: ErrorModel, config: LocalizerConfig) -> Poses:
+    """Smoothed poses of a run, world_from_camera, (n,); of the settings only the slow errors of odometry are used."""
+    from filtering.smoothing import SMOOTHED_MODES, SmoothingConfig, smooth  # loads GTSAM, which takes a while
+
+    return smooth(
+        [modes[:SMOOTHED_MODES] for modes in history.evidence],
+        history.odometry,
+        np.array(history.normalized_distances),
+        Poses.stack(history.filtered),
+        np.array(history.converged, bool),
+        errors,
+        SmoothingConfig(slow_errors=config.slow_errors),
+    )
+
 
 Of = TypeVar("Of")
 
@@ -30,15 +65,13 @@ class Method:
 
     Attributes:
         label: Its name in tables and pictures.
-        file: Name of the file in a run's directory that holds its trajectory.
-        color: Its colour in pictures, from Okabe and Ito's palette, safe for the colour-blind, as far as that goes.
-        kind: What it uses: each "image" by itself, "odometry" alone, or both, as a "baseline" or as what is "ours".
-        short_label: A shorter name for narrow columns, where the label is too long.
-        error_curve: Whether it is drawn into the picture of errors over time, in which few curves can be told apart.
-        tracker: Makes the `Tracker` of a method that goes from image to image beside the filter, from the filter's
-            settings and a source of random draws.
-        at_end: Computes the poses (n,) of a method that sees the whole run at once, from the run's history, how images
-            err, and the filter's settings.
+        file: The file of its trajectory in a run's directory.
+        color: Its colour in pictures, from Okabe and Ito's palette where possible.
+        kind: Its input: each "image" by itself, "odometry" alone, or both, as a "baseline" or as "ours".
+        short_label: A shorter name for narrow columns.
+        error_curve: Whether it is in the picture of errors over time, which has room for few curves.
+        tracker: Makes the `Tracker` of a method that goes from image to image.
+        at_end: Computes the poses (n,) of a method that sees the whole run at once.
     """
 
     label: str
@@ -52,7 +85,7 @@ class Method:
 
     @property
     def can_converge(self) -> bool:
-        """Whether it remembers what images said, and can find itself."""
+        """Whether it uses earlier images, so that it can converge."""
         return self.kind in ("baseline", "ours")
 
 
@@ -60,14 +93,14 @@ METHODS: Mapping[str, Method] = MappingProxyType(
     {
         "single_image": Method("single image", "single_image.tum", "#e69f00", "image"),
         "dead_reckoning": Method("dead reckoning", "dead_reckoning.tum", "#56b4e9", "odometry"),
-        "kalman": Method("Kalman filter", "kalman.tum", "#cc79a7", short_label="Kalman", tracker=KalmanTracker),
+        "kalman": Method("Kalman filter", "kalman.tum", "#cc79a7", short_label="Kalman", tracker=_kalman),
         "gaussian_sum": Method(
             "Gaussian sum",
             "gaussian_sum.tum",
             "#8c564b",
             short_label="Gauss.",
             error_curve=False,
-            tracker=GaussianSumTracker,
+            tracker=_gaussian_sum,
         ),
         "filter": Method("particle filter", "trajectory.tum", "#0072b2", "ours"),
         "smoothed": Method("smoothed", "smoothed.tum", "#009e73", "ours", error_curve=False, at_end=smooth_history),
@@ -79,9 +112,9 @@ The step loop itself gives the poses of the filter and of single images. Dead re
 is known: in the recorder of a run, or in a passage.
 """
 
+
 FILES: Mapping[str, str] = MappingProxyType({name: method.file for name, method in METHODS.items()})
 """The file of a run's directory that holds each method's trajectory."""
-
 BASELINES = tuple(name for name, method in METHODS.items() if method.tracker is not None)
 """Names of the methods that go from image to image beside the filter."""
 
@@ -89,24 +122,12 @@ BASELINES = tuple(name for name, method in METHODS.items() if method.tracker is 
 def start_baselines(
     config: LocalizerConfig, rng: Callable[[], np.random.Generator], *, only: Collection[str] = BASELINES
 ) -> dict[str, Tracker]:
-    """Trackers of the baselines, by name.
-
-    Args:
-        config: Settings of the filter.
-        rng: Gives each one its source of random draws.
-        only: The names of those to start.
-    """
+    """Trackers of the baselines named in `only`, each with its source of random draws."""
     return {name: method.tracker(config, rng()) for name, method in METHODS.items() if method.tracker and name in only}
 
 
 def poses_at_end(history: History, errors: ErrorModel, config: LocalizerConfig) -> dict[str, Poses]:
-    """Poses (n,) of the methods that see a whole run of n images at once, by name.
-
-    Args:
-        history: The run.
-        errors: How its images err.
-        config: Settings of the filter.
-    """
+    """Poses (n,) of the methods that see a whole run of n images at once, by name."""
     return {name: method.at_end(history, errors, config) for name, method in METHODS.items() if method.at_end}
 
 

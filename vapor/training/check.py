@@ -25,8 +25,7 @@ from vapor.landmarks.localize import VerifiedPose
 from vapor.landmarks.verify import verified
 from vapor.regressors.base import PoseRegressor
 from vapor.regressors.familiarity import Familiarity
-from vapor.tracking.follow import Followed, follow
-from vapor.tracking.passage import Passage, posterior_of
+from vapor.tracking.follow import Followed, Passage, follow, posterior_of
 from vapor.training.landmarks import HeldOutLandmarks
 from vapor.training.progress import Figures, TrainingCheck, verdict
 from vapor.training_data.training_set import TrainingSet

@@ -12,24 +12,22 @@ from jaxtyping import Bool
 from filtering.mapped_views import MappedViews
 from filtering.se3 import Poses
 from vapor.calibration.calibrate import NUM_SAMPLES
-from vapor.calibration.camera_fit import fit_camera, typical_error_m
+from vapor.calibration.camera_fit import fit_camera
+from vapor.calibration.error_correlation import ErrorCorrelation, Travel, effective_images, mistaken_lengths
 from vapor.calibration.familiarity import extract_features
 from vapor.calibration.image_errors import LEAST_IMAGES
-from vapor.calibration.lasting_errors import LastingErrors, effective_images
-from vapor.calibration.lasting_mistakes import mistaken_lengths
-from vapor.calibration.travel import Travel
 from vapor.calibration.verification import SeenPlaces, evidence, fit_reach, fit_verification, none_right
 from vapor.calibration.verified_errors import QueryFeatures, VerifiedErrors, fit_verified_errors, leave_out
 from vapor.checkpoints.calibration import Calibration
 from vapor.checkpoints.scene_scale import flat_log_density, spaced
 from vapor.evaluation.validation import predict
 from vapor.landmarks.build import BuiltMap, Material, build, gather
+from vapor.landmarks.landmark_map import ViewCamera
 from vapor.landmarks.localize import LandmarkLocalizer, VerifiedPose, query_features
 from vapor.landmarks.verify import Verification
-from vapor.landmarks.view_camera import ViewCamera
 from vapor.regressors.base import PoseRegressor
 from vapor.regressors.familiarity import Familiarity
-from vapor.tracking.passage import posterior_of
+from vapor.tracking.follow import posterior_of
 from vapor.training.config import CameraChoice, TrainConfig
 from vapor.training.holding_out import Split
 from vapor.training_data.ground import near_scale_m, pass_numbers
@@ -131,19 +129,13 @@ def _best_map(
     """The map by the camera that fits, with a notice."""
     if choice == "stated":
         return build(material, stated), ()
-    fit = fit_camera(
-        material,
-        stated,
-        lambda built: typical_error_m(built, features, images.poses, images.sequence),
-        known=known,
-        compare=choice == "auto",
-    )
+    fit = fit_camera(material, stated, features, images.poses, images.sequence, known=known, compare=choice == "auto")
     if fit is None:
         return build(material, stated), ()
     if fit.by_found is None or (choice == "auto" and not fit.is_better):
         return fit.by_stated, ()
     taken = "" if choice == "estimated" or not known else "; so it is taken (--camera stated: the stated one)"
-    found = fit.said(images.camera_size[0] if images.camera_size else stated.camera.width)
+    found = fit.in_words(images.camera_size[0] if images.camera_size else stated.camera.width)
     return fit.by_found, (f"camera: {found}{taken}",)
 
 
@@ -200,12 +192,12 @@ class HeldOutLandmarks:
             return held
         errors, own = calibration.errors, landmarks.verified.errors
         longer = max(errors.mistaken_lengths, 1.0)
-        lasting = LastingErrors(1.0, longer * errors.length_m, longer * errors.length_rad)
+        lasting = ErrorCorrelation(1.0, longer * errors.length_m, longer * errors.length_rad)
         travel = Travel.along(split.source.poses, pass_numbers(split.source))[np.array(which)]
         effective = effective_images(travel, lasting)
         verification, wrong = fit_verification(seen, effective, landmarks.verification), none_right(seen, effective)
         weights = evidence(seen, verification, wrong, errors.possible_fraction)
-        lengths = LastingErrors(1.0, own.length_m, own.length_rad)
+        lengths = ErrorCorrelation(1.0, own.length_m, own.length_rad)
         mistaken = max(mistaken_lengths(weights, travel, lengths), _NEW_VIEW * depth_m / own.length_m)
         return replace(held, verification=verification, none_right=wrong, mistaken_lengths=mistaken)
 

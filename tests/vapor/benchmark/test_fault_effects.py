@@ -25,8 +25,7 @@ from vapor.benchmark.faults.table import (
     tripled,
 )
 from vapor.benchmark.trials.replay import Replay
-from vapor.tracking.dead_reckoning import dead_reckoning
-from vapor.tracking.passage import posterior_of
+from vapor.tracking.follow import dead_reckoning, posterior_of
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 

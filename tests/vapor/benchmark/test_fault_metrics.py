@@ -8,7 +8,7 @@ from filtering.se3 import Poses
 from tests.helpers.poses import translated
 from vapor.benchmark.faults.metrics import evaluate_fault, longest_run, summarise_faults
 from vapor.benchmark.faults.table import FAULTS, NONE, find_moment
-from vapor.tracking.belief import Belief
+from vapor.tracking.loop import Belief
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 

@@ -13,8 +13,7 @@ from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from tests.helpers.modelled_walk import ERRORS, walk
 from vapor.benchmark.evaluation import evaluate_sequences, starts_of_sequences, succeeds
-from vapor.tracking.follow import follow
-from vapor.tracking.passage import Passage
+from vapor.tracking.follow import Passage, follow
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 

@@ -12,7 +12,7 @@ from tests.helpers.corridors import corridor
 from vapor.benchmark.evaluation import Comparison
 from vapor.benchmark.trials import replay
 from vapor.benchmark.trials.choose import Segment, Trial
-from vapor.tracking.belief import Belief
+from vapor.tracking.loop import Belief
 from vapor.tracking.methods import METHODS
 
 pytestmark = pytest.mark.usefixtures("unchecked")

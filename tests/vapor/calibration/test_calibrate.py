@@ -11,10 +11,11 @@ from filtering.error_model import ErrorModel
 from filtering.se3 import Poses
 from tests.helpers.climbing_frames import frames_of
 from tests.helpers.data_sets import make_7scenes
+from tests.helpers.erring_posteriors import anywhere
 from tests.helpers.full import full
 from tests.helpers.sequence_files import Walk, rewrite
 from vapor.calibration import calibrate as calibrate_module
-from vapor.calibration.calibrate import calibrate
+from vapor.calibration.calibrate import calibrate, fit_widths
 from vapor.calibration.familiarity import learn_familiarity
 from vapor.checkpoints.calibration import Calibration
 from vapor.checkpoints.file_format import load_checkpoint
@@ -236,3 +237,34 @@ def test_the_command_refuses_data_without_poses_or_too_little(num_images, posed,
     assert "walk.mcap" in error
     assert said in error
     assert not output.exists()
+
+
+# --- kernel widths ---------------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize(("spread_m", "spread_rad"), [(0.2, 0.05), (0.05, 0.15)])
+def test_the_scale_of_the_kernels_is_found_from_samples_of_known_spread(spread_m, spread_rad):
+    rng = np.random.default_rng(0)
+    std = np.repeat([spread_m, spread_rad], 3)
+    truth = anywhere(300, rng=rng)
+    # As of a calibrated posterior: the truth lies in the samples as any other draw would.
+    centres = truth @ Poses.exp(rng.standard_normal((300, 6)) * std)
+    samples = [centres[i] @ Poses.exp(rng.standard_normal((200, 6)) * std) for i in range(300)]
+    (width_m, width_rad), change = fit_widths(samples, truth, truth, (0.1, 0.1))
+    # Of 200 samples in six dimensions the best kernel is narrower than the posterior: Silverman's factor is 0.55.
+    assert 0.35 * spread_m < width_m < 0.9 * spread_m
+    assert 0.35 * spread_rad < width_rad < 0.9 * spread_rad
+    assert change.after == {"bandwidth_translation_m": width_m, "bandwidth_rotation_rad": width_rad}
+    assert change.gain is not None
+    assert change.gain >= -1e-4
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_kernels_of_a_single_sample_get_exactly_the_spread_of_its_error():
+    rng = np.random.default_rng(1)
+    truth = anywhere(500, rng=rng)
+    samples = [truth[[i]] @ Poses.exp(rng.standard_normal((1, 6)) * np.repeat([0.1, 0.04], 3)) for i in range(500)]
+    width_m, width_rad = fit_widths(samples, truth, truth, (0.1, 0.1))[0]
+    assert width_m == pytest.approx(0.1, rel=0.08)
+    assert width_rad == pytest.approx(0.04, rel=0.08)

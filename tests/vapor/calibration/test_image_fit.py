@@ -10,9 +10,9 @@ from filtering.error_model import ErrorModel
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from tests.helpers.erring_posteriors import TRUE, UNIT, anywhere, fit, fitted, posteriors, simulated, student, walk
+from vapor.calibration.error_correlation import Travel
 from vapor.calibration.image_errors import fit_errors
-from vapor.calibration.observations import Observations
-from vapor.calibration.travel import Travel
+from vapor.calibration.places import Observations
 from vapor.checkpoints.scene_scale import default_errors, flat_log_density, scene_extent
 
 pytestmark = pytest.mark.usefixtures("unchecked")

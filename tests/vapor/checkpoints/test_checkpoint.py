@@ -13,9 +13,8 @@ from tests.helpers.checkpoints import SMALL, make_checkpoint
 from vapor.checkpoints import file_format
 from vapor.checkpoints.file_format import find_model, load_checkpoint, load_description, save_checkpoint
 from vapor.checkpoints.scene_scale import default_errors, spaced
-from vapor.landmarks.landmark_map import LandmarkMap
+from vapor.landmarks.landmark_map import LandmarkMap, ViewCamera
 from vapor.landmarks.verify import Landmarks, Verification
-from vapor.landmarks.view_camera import ViewCamera
 from vapor.regressors.network_config import NetworkConfig
 from vapor.tensor_files import CheckpointError, read_safetensors, write_safetensors
 

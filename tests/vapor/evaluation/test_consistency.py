@@ -8,7 +8,7 @@ from filtering.se3 import Poses
 from tests.helpers.simulated_run import true_walk
 from vapor.evaluation.consistency import count_false_recoveries, evaluate_belief, recovery_images, truth_among_modes
 from vapor.evaluation.trajectory import is_right
-from vapor.tracking.belief import Belief, mode_status
+from vapor.tracking.loop import Belief, mode_status
 
 S = 1_000_000_000
 

@@ -12,7 +12,7 @@ from tests.helpers.simulated_run import true_walk
 from vapor.commands.evaluate import evaluate_directory
 from vapor.evaluation.consistency import evaluate_consistency
 from vapor.evaluation.trajectory import associate, convergence_s, evaluate_trajectory
-from vapor.tracking.dead_reckoning import dead_reckoning
+from vapor.tracking.follow import dead_reckoning
 
 S = 1_000_000_000
 

@@ -10,7 +10,7 @@ from sequences.frame import Trajectory
 from tests.helpers.simulated_run import true_walk
 from vapor.evaluation.consistency import evaluate_belief
 from vapor.evaluation.floors import evaluate_floor, evaluate_floors, floor_accuracy, floors_off, once_on_floor
-from vapor.tracking.belief import Belief
+from vapor.tracking.loop import Belief
 
 HEIGHT = 3.0
 

@@ -2,8 +2,8 @@ import pytest
 
 from tests.helpers.textured_room import CAMERA, Room, walk
 from vapor.landmarks.build import build, gather
+from vapor.landmarks.landmark_map import ViewCamera
 from vapor.landmarks.verify import grey_view
-from vapor.landmarks.view_camera import ViewCamera
 
 
 @pytest.fixture(scope="session")

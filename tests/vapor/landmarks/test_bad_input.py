@@ -13,9 +13,9 @@ from tests.helpers.full import full, some
 from tests.helpers.textured_room import CAMERA, Room, walk
 from vapor.landmarks import build as building
 from vapor.landmarks.build import build
+from vapor.landmarks.landmark_map import ViewCamera
 from vapor.landmarks.localize import LandmarkLocalizer
 from vapor.landmarks.verify import grey_view
-from vapor.landmarks.view_camera import ViewCamera
 from vapor.training.landmarks import FoundLandmarks, find_landmarks
 from vapor.training_data.training_set import TrainingSet
 

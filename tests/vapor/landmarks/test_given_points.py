@@ -10,10 +10,10 @@ from sequences.datasets.seen_points import POINTS_OF_A_MODEL, SeenPoints
 from tests.helpers.textured_room import CAMERA, walk
 from vapor.landmarks.build import build, gather
 from vapor.landmarks.features import Features
-from vapor.landmarks.given_points import at_given_points, with_given_points
+from vapor.landmarks.landmark_map import ViewCamera
 from vapor.landmarks.points import seen
+from vapor.landmarks.tracks import at_given_points, with_given_points
 from vapor.landmarks.verify import grey_view
-from vapor.landmarks.view_camera import ViewCamera
 
 VIEW = ViewCamera(CAMERA)
 

@@ -14,10 +14,9 @@ from sequences.writer import SequenceWriter
 from tests.helpers.pages import ReadPage
 from tests.helpers.sequence_files import BEGIN_NS
 from tests.helpers.textured_room import CAMERA, walk
+from vapor.landmarks.landmark_map import ViewCamera
 from vapor.landmarks.localize import VerifiedPose, query_features
-from vapor.landmarks.shown import ShownLandmarks
-from vapor.landmarks.verify import Landmarks, LandmarkVerifier, grey_view
-from vapor.landmarks.view_camera import ViewCamera
+from vapor.landmarks.verify import Landmarks, LandmarkVerifier, ShownLandmarks, grey_view
 from vapor.pipeline.config import RunConfig
 from vapor.pipeline.model import load_model
 from vapor.pipeline.run import VerifiedImages, run

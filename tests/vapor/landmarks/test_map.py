@@ -8,12 +8,12 @@ import pytest
 from filtering.se3 import Poses
 from tests.helpers.textured_room import CAMERA, Room, walk
 from vapor.landmarks.build import build, camera_found, gather
+from vapor.landmarks.features import mutual_matches, mutual_matches_among, within
+from vapor.landmarks.landmark_map import ViewCamera
 from vapor.landmarks.localize import LandmarkLocalizer
-from vapor.landmarks.matching import mutual_matches, mutual_matches_among, within
 from vapor.landmarks.points import Sightings, parallax, seen, triangulated
 from vapor.landmarks.tracks import find_sightings
 from vapor.landmarks.verify import grey_view
-from vapor.landmarks.view_camera import ViewCamera
 
 
 def test_points_are_where_rays_meet():

@@ -14,12 +14,13 @@ from vapor.calibration.verification import SeenPlaces, evidence, fit_reach, fit_
 from vapor.calibration.verified_errors import LeftOut, fit_verified_errors, leave_out
 from vapor.landmarks.build import build
 from vapor.landmarks.features import Features, restored
+from vapor.landmarks.landmark_map import ViewCamera
 from vapor.landmarks.localize import LandmarkLocalizer, VerifiedPose, query_features
 from vapor.landmarks.verify import Landmarks, LandmarkVerifier, Verification, grey_view, verified
-from vapor.landmarks.view_camera import ViewCamera
 
 SHARP = ErrorModel(floor=(0.01,) * 3 + (0.003,) * 3, typical_std=(0.01,) * 3 + (0.003,) * 3)
 ERRORS = ErrorModel(floor=(0.3,) * 3 + (0.1,) * 3, typical_std=(0.3,) * 3 + (0.1,) * 3, verified=SHARP)
+POSE = walk(8, seed=5)[3]
 
 
 def coarse(*x_m, weights=None):
@@ -33,8 +34,12 @@ def found_at(x_m, inliers=50):
     return VerifiedPose(pose, 1e-6 * np.eye(6), inliers, np.zeros((inliers, 2)), np.zeros((inliers, 2)))
 
 
-def test_new_views_are_localized_within_centimetres(room, built):
-    verifier = LandmarkVerifier(Landmarks(built.landmarks), SHARP)
+@pytest.fixture(scope="module")
+def verifier(built):
+    return LandmarkVerifier(Landmarks(built.landmarks), SHARP)
+
+
+def test_new_views_are_localized_within_centimetres(room, verifier):
     for pose in walk(8, seed=5):
         (first, *_) = verifier.find(room.view(pose), CAMERA, coarse(0.0))
         metres, radians = first.world_from_camera.distance(pose)
@@ -44,27 +49,23 @@ def test_new_views_are_localized_within_centimetres(room, built):
 
 
 @pytest.mark.parametrize("factor", [0.7, 2.0])
-def test_images_of_another_size_or_camera_are_brought_to_the_map_s(room, built, factor):
-    pose = walk(8, seed=5)[3]
+def test_images_of_another_size_or_camera_are_brought_to_the_map_s(room, verifier, factor):
     larger = CAMERA.scaled(round(factor * CAMERA.width), round(factor * CAMERA.height))
     zoomed = replace(CAMERA, fx=1.2 * CAMERA.fx, fy=1.2 * CAMERA.fy)
     for camera in (larger, zoomed):
-        verifier = LandmarkVerifier(Landmarks(built.landmarks), SHARP)
-        (first, *_) = verifier.find(room.view(pose, camera), camera, coarse(0.0))
-        assert first.world_from_camera.distance(pose)[0] < 0.05
+        (first, *_) = verifier.find(room.view(POSE, camera), camera, coarse(0.0))
+        assert first.world_from_camera.distance(POSE)[0] < 0.05
 
 
-def test_images_that_show_nothing_of_the_place_verify_nothing(room, built):
-    verifier, rng = LandmarkVerifier(Landmarks(built.landmarks), SHARP), np.random.default_rng(0)
-    shape = CAMERA.height, CAMERA.width, 3
-    pose = walk(8, seed=5)[3]
-    moved = np.asarray(room.view(pose), np.float32)
+def test_images_that_show_nothing_of_the_place_verify_nothing(room, verifier):
+    rng, shape = np.random.default_rng(0), (CAMERA.height, CAMERA.width, 3)
+    moved = np.asarray(room.view(POSE), np.float32)
     blurred = sum(np.roll(moved, shift, axis=1) for shift in range(60)) / 60.0
     for image in (
         np.zeros(shape, np.uint8),
         np.full(shape, 255, np.uint8),
         rng.integers(0, 256, shape, dtype=np.uint8),
-        Room(7).view(pose),
+        Room(7).view(POSE),
         blurred.astype(np.uint8),
     ):
         posterior = coarse(0.0)
@@ -200,12 +201,12 @@ def two_rooms(built):
 
 def test_all_places_that_a_network_proposes_are_looked_at(room, built):
     """What looks alike comes from chance here; each of two places alike is verified because it is proposed."""
-    localizer, pose = LandmarkLocalizer(two_rooms(built)), walk(8, seed=5)[3]
-    other = Poses(pose.rotation, pose.translation + np.array([20.0, 0.0, 0.0]))
-    features = localizer.features(grey_view(room.view(pose), CAMERA))
-    found = localizer.localize(features, Poses.stack([other, pose]))
+    localizer = LandmarkLocalizer(two_rooms(built))
+    other = Poses(POSE.rotation, POSE.translation + np.array([20.0, 0.0, 0.0]))
+    features = localizer.features(grey_view(room.view(POSE), CAMERA))
+    found = localizer.localize(features, Poses.stack([other, POSE]))
     assert len(found) == 2
-    for place in (pose, other):
+    for place in (POSE, other):
         assert min(float(each.world_from_camera.distance(place)[0]) for each in found) < 0.03
 
 
@@ -213,7 +214,6 @@ def test_points_in_one_place_tell_no_pose(built):
     """A blob far off: whatever the solver makes of it, no exception, and no pose as sharp as none is."""
     m = built.landmarks
     blob = replace(m, points=np.tile(np.array([0.0, 0.0, 3.0], np.float32), (len(m.points), 1)))
-    localizer = LandmarkLocalizer(blob)
     rng = np.random.default_rng(0)
     for spread in (1e-6, 1e-4, 1e-2):
         near = replace(blob, points=blob.points + spread * rng.standard_normal(blob.points.shape).astype(np.float32))
@@ -224,28 +224,18 @@ def test_points_in_one_place_tell_no_pose(built):
             assert np.isfinite(each.covariance).all()
 
 
-def test_a_model_trained_without_intrinsics_is_used_with_them(room, material):
-    """The map's camera is what was found; images whose intrinsics are known are brought to that."""
-    pose, found = walk(8, seed=5)[3], build(replace(material, stated=None), ViewCamera(CAMERA))
-    assert found.landmarks.stated is None
-    for camera in (None, CAMERA):
-        verifier = LandmarkVerifier(Landmarks(found.landmarks), SHARP)
-        (first, *_) = verifier.find(room.view(pose), camera, coarse(0.0))
-        assert first.world_from_camera.distance(pose)[0] < 0.04
+@pytest.mark.parametrize("stated", [None, replace(CAMERA, fx=1.1 * CAMERA.fx, fy=1.1 * CAMERA.fy)])
+def test_intrinsics_that_were_missing_or_wrong_in_training_do_no_harm(room, material, stated):
+    """The map's camera is the fitted one; images of known intrinsics are resampled to it."""
+    found = build(replace(material, stated=stated), ViewCamera(CAMERA))
+    assert found.landmarks.stated == stated
+    for camera in (stated, CAMERA, None):
+        (first, *_) = LandmarkVerifier(Landmarks(found.landmarks), SHARP).find(room.view(POSE), camera, coarse(0.0))
+        assert first.world_from_camera.distance(POSE)[0] < 0.04
 
 
-def test_intrinsics_that_were_corrected_after_the_training_do_no_harm(room, material):
-    pose, wrong = walk(8, seed=5)[3], replace(CAMERA, fx=1.1 * CAMERA.fx, fy=1.1 * CAMERA.fy)
-    found = build(replace(material, stated=wrong), ViewCamera(CAMERA))
-    for camera in (wrong, CAMERA, None):
-        verifier = LandmarkVerifier(Landmarks(found.landmarks), SHARP)
-        (first, *_) = verifier.find(room.view(pose), camera, coarse(0.0))
-        assert first.world_from_camera.distance(pose)[0] < 0.04
-
-
-def test_errors_of_verified_places_are_added_where_a_posterior_has_none(room, built):
-    pose = walk(8, seed=5)[3]
-    plain = PosePosterior.from_estimates(Poses.stack([pose]), 0.3, 0.1, replace(ERRORS, verified=None))
-    posterior = LandmarkVerifier(Landmarks(built.landmarks), SHARP).verify(room.view(pose), CAMERA, plain)
+def test_errors_of_verified_places_are_added_where_a_posterior_has_none(room, verifier):
+    plain = PosePosterior.from_estimates(Poses.stack([POSE]), 0.3, 0.1, replace(ERRORS, verified=None))
+    posterior = verifier.verify(room.view(POSE), CAMERA, plain)
     assert posterior.verified.tolist() == [True, False]
     assert posterior.errors.verified == SHARP

@@ -12,7 +12,7 @@ from filtering.errors import VaporTrackError
 from tests.helpers.simulated_run import simulated_record, simulated_steps
 from vapor.reporting.record import EvenlySpaced, RunRecorder, choose_keyframes
 from vapor.reporting.report import build_report, format_table, is_report, write_report
-from vapor.tracking.dead_reckoning import dead_reckoning
+from vapor.tracking.follow import dead_reckoning
 
 
 @pytest.fixture(scope="module")

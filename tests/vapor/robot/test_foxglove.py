@@ -26,8 +26,8 @@ from tests.helpers.checkout import CHECKOUT
 from tests.helpers.fake_transport import FakeTransport
 from tests.helpers.foxglove_client import FoxgloveClient
 from vapor.robot.config import LiveConfig
-from vapor.robot.foxglove_server import FoxgloveServer
 from vapor.robot.live import live
+from vapor.robot.viewers import FoxgloveServer
 
 pytest.importorskip("foxglove", reason="needs foxglove-sdk")
 LAYOUT = Path(vapor.robot.__file__).parent / "foxglove_layout.json"
@@ -185,7 +185,7 @@ def test_clients_that_break_off_print_nothing() -> None:
     script = """
 import socket, time
 from tests.helpers.foxglove_client import FoxgloveClient
-from vapor.robot.foxglove_server import FoxgloveServer
+from vapor.robot.viewers import FoxgloveServer
 with FoxgloveServer("127.0.0.1", 0) as server:
     FoxgloveClient(server.port).vanish()
     with socket.create_connection(("127.0.0.1", server.port)) as other:

@@ -11,7 +11,7 @@ from filtering.floors import Floors
 from filtering.se3 import Poses
 from sequences.recordings.message_definitions import decoder, encoder
 from sequences.recordings.messages import covariance_to_ros
-from vapor.robot.messages import camera_of_initial_pose, diagnostics_message, pose_message, tf_message
+from vapor.robot.publisher import camera_of_initial_pose, diagnostics_message, pose_message, tf_message
 
 BASE = Poses.exp(np.array([2.0, -1.0, 0.0, 0.0, 0.0, 2.0]))
 MOUNT = Poses.exp(np.array([0.3, 0.1, 1.2, 1.2, -1.2, 1.2]))
@@ -73,17 +73,21 @@ def test_a_variance_of_zero_is_no_certainty():
     assert np.linalg.eigvalsh(covariance)[0] > 1e-5
 
 
-def test_a_pose_that_is_none_is_refused():
-    broken = initial(BASE, np.ones(6))
-    broken.pose.pose.orientation.w = float("nan")
-    with pytest.raises(VaporTrackError):
-        camera_of_initial_pose(broken, MOUNT, Poses.identity(2))
-
-
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -1.0])
-def test_a_covariance_that_is_none_is_refused(bad):
-    with pytest.raises(VaporTrackError):
-        camera_of_initial_pose(initial(BASE, [bad, 1, 1, 1, 1, 1]), MOUNT, Poses.identity(2))
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda pose: setattr(pose.pose.orientation, "w", np.nan), "quaternion"),
+        (lambda pose: np.copyto(pose.covariance[:1], np.nan), "not finite or above"),
+        (lambda pose: np.copyto(pose.covariance[:1], np.inf), "not finite or above"),
+        (lambda pose: np.copyto(pose.covariance[:1], -1.0), "negative eigenvalue"),
+    ],
+)
+def test_an_unusable_pose_or_covariance_is_refused(change, message):
+    stated = initial(BASE, np.ones(6))
+    stated.pose.covariance = np.array(stated.pose.covariance, np.float64)
+    change(stated.pose)
+    with pytest.raises(VaporTrackError, match=message):
+        camera_of_initial_pose(stated, MOUNT, Poses.identity(2))
 
 
 def test_a_pose_has_its_covariance_about_the_axes_of_its_frame():

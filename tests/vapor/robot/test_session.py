@@ -23,7 +23,7 @@ from tests.helpers.live_session import ELSEWHERE, KnowingModel, Running, hurry, 
 from tests.helpers.live_system import stamp
 from tests.helpers.sequence_files import BEGIN_NS, IMAGES, ODOMETRY, Walk, rewrite, world_from_base, world_from_camera
 from vapor.robot.config import LiveConfig
-from vapor.robot.live import Live
+from vapor.robot.session import LiveSession
 
 NS = 1_000_000_000
 
@@ -41,7 +41,7 @@ def walk(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def replayed(run: Running, walk: Path, *, images: int = 12, skip: tuple[str, ...] = ("/ground_truth/pose",)) -> None:
     """Send a walk, and wait for each image to be localized, so that none is overtaken."""
     sent = 0
-    run.wait(lambda: run.transport.subscribed and any(each.topic == IMAGES for each in run.transport.subscribed))
+    run.wait_until_subscribed()
     for raw in messages_of(walk):
         if raw.topic in skip:
             continue
@@ -95,46 +95,38 @@ def test_the_pose_of_the_base_has_a_covariance_that_grows_until_the_next_image(w
 
 
 def test_neither_transform_nor_base_is_published_while_two_places_are_possible(walk: Path) -> None:
-    with running(walk, model=KnowingModel(places=2)) as run:
+    model, low = KnowingModel(places=2), world_from_camera(BEGIN_NS)
+    heights = [float(pose.translation[2]) for pose in (low, ELSEWHERE @ low)]
+    model.floors = Floors((heights[0], heights[1]))
+    with running(walk, model=model) as run:
         replayed(run, walk)
         assert {each.estimate.status for each in run.estimates} == {"ambiguous"}
         assert all(each.map_from_odom is None for each in run.estimates)
         assert run.messages("tf") == run.messages("base_pose") == []
         assert {m.status[0].level for m in run.messages("diagnostics") if m.status[0].values} <= {1, 3}
         assert len(run.messages("pose")) >= 12
-
-
-def test_diagnostics_say_how_much_of_the_belief_is_on_each_floor(walk: Path) -> None:
-    model = KnowingModel(places=2)
-    low = world_from_camera(BEGIN_NS)
-    heights = [float(pose.translation[2]) for pose in (low, ELSEWHERE @ low)]
-    model.floors = Floors((heights[0], heights[1]))
-    with running(walk, model=model) as run:
-        replayed(run, walk)
-        run.wait(lambda: bool(run.messages("diagnostics")[-1].status[0].values))
-        values = {each.key: each.value for each in run.messages("diagnostics")[-1].status[0].values}
-        weights = [float(values[f"weight of floor {number}"]) for number in range(2)]
+        run.wait(lambda: "floor" in run.values())
+        weights = [float(run.values()[f"weight of floor {number}"]) for number in range(2)]
         assert sum(weights) == pytest.approx(1.0, abs=2e-4)
-        assert min(weights) > 0.2  # one says as little as the other
-        assert weights[int(values["floor"])] == max(weights)
+        assert min(weights) > 0.2  # either place is as likely
+
+
+def test_a_message_on_reset_forgets_the_belief(walk: Path) -> None:
+    with running(walk, keep_tf=True) as run:
+        replayed(run, walk, images=6)
+        run.control("/estimate/reset")
+        run.wait_told("reset")
+        belief: Any = run.session._belief
+        assert belief.anchor is None
 
 
 def test_the_last_transform_is_kept_where_that_is_asked_for(walk: Path) -> None:
-    model = KnowingModel()
-    with running(walk, model=model, keep_tf=True) as run:
-        replayed(run, walk, images=6)
-        run.control("/estimate/start_anew")
-        run.wait(lambda: "starts anew" in run.told)
-        belief: Any = run.session._belief
-        assert belief.anchor is None
-    model = KnowingModel()
-    with running(walk, model=model, keep_tf=True) as run:
+    with running(walk, keep_tf=True) as run:
         replayed(run, walk, images=6)
         known = pose_from_transform(run.messages("tf")[-1].transforms[0].transform)
-        run.wait(lambda: run.messages("diagnostics")[-1].status[0].message.startswith("ambiguous"))  # silence
+        run.wait(lambda: run.status().message.startswith("ambiguous"))  # silence
         before = len(run.messages("tf"))
-        odometry = [raw for raw in messages_of(walk) if raw.topic == ODOMETRY]
-        for raw in odometry[-3:]:
+        for raw in [raw for raw in messages_of(walk) if raw.topic == ODOMETRY][-3:]:
             run.transport.say(raw)
         run.wait(lambda: len(run.messages("tf")) > before)
         kept = pose_from_transform(run.messages("tf")[-1].transforms[0].transform)
@@ -144,9 +136,9 @@ def test_the_last_transform_is_kept_where_that_is_asked_for(walk: Path) -> None:
 def test_a_silent_camera_makes_the_belief_wider_until_it_is_not_converged(walk: Path) -> None:
     with running(walk) as run:
         replayed(run, walk, images=4)
-        assert run.messages("diagnostics")[-1].status[0].message == "converged"
-        run.wait(lambda: "no odometry for" in run.messages("diagnostics")[-1].status[0].message)
-        run.wait(lambda: run.messages("diagnostics")[-1].status[0].message.startswith("ambiguous"))
+        assert run.status().message == "converged"
+        run.wait(lambda: "no odometry for" in run.status().message)
+        run.wait(lambda: run.status().message.startswith("ambiguous"))
         assert any(line.startswith("ambiguous") for line in run.told)
 
 
@@ -158,9 +150,9 @@ def test_a_message_on_initialpose_begins_anew_there(walk: Path) -> None:
         kind = "geometry_msgs/PoseWithCovarianceStamped"
         told = {"pose": {"pose": far, "covariance": covariance}}
         run.control("/initialpose", kind, header={"frame_id": "odom"}, **told)
-        run.wait(lambda: any("expected one in 'map'" in line for line in run.told))
+        run.wait_told("expected one in 'map'")
         run.control("/initialpose", kind, header={"frame_id": "map"}, **told)
-        run.wait(lambda: any("/initialpose says" in line for line in run.told))
+        run.wait_told("by /initialpose")
         belief: Any = run.session._belief
         best = belief.localizer.predict(None).modes[0].world_from_camera
         base = best @ SequenceReader(walk).base_from_camera.inverse()  # pyright: ignore[reportOptionalMemberAccess]
@@ -172,18 +164,18 @@ def test_a_damaged_message_of_a_control_is_told_and_ends_nothing(walk: Path) -> 
         replayed(run, walk, images=2)
         kind = "geometry_msgs/PoseWithCovarianceStamped"
         run.transport.say(RawMessage("/initialpose", 0, b"\x00\x01\x00\x00\x05", kind, "cdr", b""))
-        run.wait(lambda: any(line.startswith("/initialpose: ") for line in run.told))
+        run.wait_told("/initialpose: ")
         assert run.error is None
 
 
 def test_a_snapshot_has_the_image_and_what_was_believed(walk: Path, tmp_path: Path) -> None:
     with running(walk, snapshots=tmp_path) as run:
-        run.wait(lambda: any(each.topic == IMAGES for each in run.transport.subscribed))
+        run.wait_until_subscribed()
         run.control("/estimate/save_snapshot")
-        run.wait(lambda: any("expected an estimate to save" in line for line in run.told))
+        run.wait_told("expected an estimate to save")
         replayed(run, walk, images=3)
         run.control("/estimate/save_snapshot")
-        run.wait(lambda: any(line.startswith("snapshot ") for line in run.told))
+        run.wait_told("snapshot ")
     (file,) = tmp_path.glob("snapshot-*.mcap")
     assert {*Bag(file).topics} == {"/image", "/estimate/pose", "/estimate/modes", "/estimate/particles"}
 
@@ -228,7 +220,7 @@ def test_a_full_disk_ends_the_recording_and_not_the_localization(
     monkeypatch.setattr("vapor.robot.recorder.Writer.add_message", full)
     with running(walk, record=tmp_path / "drive.mcap") as run:
         replayed(run, walk)
-        run.wait(lambda: any("No space left on device" in line for line in run.told))
+        run.wait_told("No space left on device")
         assert len(run.estimates) == 12
     assert [file.name for file in tmp_path.iterdir()] == ["drive.mcap.incomplete"]
 
@@ -236,12 +228,9 @@ def test_a_full_disk_ends_the_recording_and_not_the_localization(
 def test_a_recording_is_never_overwritten(walk: Path, tmp_path: Path) -> None:
     (tmp_path / "drive.mcap").write_bytes(b"of yesterday")
     with running(walk, record=tmp_path / "drive.mcap") as run:
-        end_s = time.monotonic() + 5
-        while run.error is None:
-            assert time.monotonic() < end_s
-            time.sleep(0.01)
-    assert isinstance(run.error, VaporTrackError)
-    assert "exists, expected the name of a new recording" in str(run.error)
+        error = run.wait_for_error()
+    assert isinstance(error, VaporTrackError)
+    assert "exists, expected the name of a new recording" in str(error)
     assert (tmp_path / "drive.mcap").read_bytes() == b"of yesterday"
 
 
@@ -253,16 +242,15 @@ def test_a_damaged_image_is_counted_and_told_once(walk: Path) -> None:
         for _ in range(3):
             run.transport.say(damaged)
         run.wait(lambda: run.session.skipped.get("undecodable image") == 3)
-        run.wait(lambda: any("undecodable image" in line for line in run.told))
+        run.wait_told("undecodable image")
         time.sleep(0.2)
         assert sum("undecodable image" in line for line in run.told) == 1
-        values = {each.key: each.value for each in run.messages("diagnostics")[-1].status[0].values}
-        assert values["images skipped, undecodable image"] == "3"
+        assert run.values()["images skipped, undecodable image"] == "3"
 
 
 def test_a_slow_network_gets_the_newest_image_and_the_others_are_counted(walk: Path) -> None:
     with running(walk, model=KnowingModel(seconds=0.15)) as run:
-        run.wait(lambda: any(each.topic == IMAGES for each in run.transport.subscribed))
+        run.wait_until_subscribed()
         for raw in messages_of(walk):
             run.transport.say(raw)
             if raw.topic == IMAGES:
@@ -278,14 +266,14 @@ def test_a_network_that_hangs_does_not_leave_the_estimate_converged(walk: Path) 
     model = KnowingModel()
     with running(walk, model=model) as run:
         replayed(run, walk, images=5)
-        assert run.messages("diagnostics")[-1].status[0].message == "converged"
+        assert run.status().message == "converged"
         model.seconds = 3.0
         late = [raw for raw in messages_of(walk) if raw.log_time_ns > run.estimates[-1].time_ns + NS // 20]
         end_s = time.monotonic() + 1.0
         for raw in late:  # images and odometry go on
             run.transport.say(raw)
             time.sleep(max(0.0, min(0.02, end_s - time.monotonic())))
-        run.wait(lambda: run.messages("diagnostics")[-1].status[0].message.startswith("ambiguous"), 2.5)
+        run.wait(lambda: run.status().message.startswith("ambiguous"), 2.5)
         assert len(run.estimates) == 5
         model.seconds = 0.0
 
@@ -299,7 +287,7 @@ def test_nothing_is_lost_that_comes_while_a_callback_takes_its_time(walk: Path) 
         time.sleep(0.3)
 
     with running(walk, on_estimate=slow) as run:
-        run.wait(lambda: any(each.topic == IMAGES for each in run.transport.subscribed))
+        run.wait_until_subscribed()
         run.session._admit = lambda event, admit=run.session._admit: (seen.append(1), admit(event))[1]
         run.transport.say(image)
         for raw in raws:
@@ -326,7 +314,7 @@ def test_a_stated_pose_is_of_now_and_not_of_the_last_image(walk: Path, tmp_path:
         numbers = np.array([*base.translation, *base.as_quat_xyzw()])
         told = {"pose": numbers, "covariance": (1e-4 * np.eye(6)).ravel()}
         run.control("/initialpose", "geometry_msgs/PoseWithCovarianceStamped", header={"frame_id": "map"}, pose=told)
-        run.wait(lambda: any("/initialpose says" in line for line in run.told))
+        run.wait_told("by /initialpose")
         pose = run.messages("pose")[-1]
         believed = pose_from_message(pose.pose.pose)
         assert float(believed.distance(world_from_camera(stamp(pose.header)))[0]) < 0.05
@@ -349,16 +337,16 @@ def test_odometry_that_begins_anew_elsewhere_is_not_followed(walk: Path, tmp_pat
         assert len(run.messages("base_pose")) == number
 
 
-def test_what_a_latched_topic_says_before_the_first_clock_is_not_lost(walk: Path) -> None:
+def test_with_simulated_time_messages_before_the_first_clock_wait_and_are_not_lost(walk: Path) -> None:
     with running(walk, sim_time=True) as run:
-        run.wait(lambda: any(each.topic == "/tf_static" for each in run.transport.subscribed))
-        early = [raw for raw in messages_of(walk) if raw.topic == "/tf_static"]
-        for raw in early:
+        run.wait_until_subscribed("/tf_static")
+        for raw in [raw for raw in messages_of(walk) if raw.topic == "/tf_static"]:
             run.transport.say(raw)
-        time.sleep(0.1)
+        run.wait_told("no message on /clock yet")
         sec, nanosec = divmod(BEGIN_NS, NS)
         run.control("/clock", "rosgraph_msgs/Clock", clock={"sec": sec, "nanosec": nanosec})
         replayed(run, walk, images=4, skip=("/ground_truth/pose", "/tf_static"))
+        assert stamp(run.messages("diagnostics")[-1].header) == BEGIN_NS
 
 
 def test_a_clock_that_steps_back_loses_an_instant_and_no_more(walk: Path, tmp_path: Path) -> None:
@@ -384,21 +372,12 @@ def test_a_clock_that_steps_back_loses_an_instant_and_no_more(walk: Path, tmp_pa
         assert len(run.told) >= told_before
 
 
-def test_with_the_time_of_a_simulation_nothing_is_read_before_the_first_clock(walk: Path) -> None:
-    with running(walk, sim_time=True) as run:
-        run.wait(lambda: any("no message on /clock yet" in line for line in run.told))
-        sec, nanosec = divmod(BEGIN_NS, NS)
-        run.control("/clock", "rosgraph_msgs/Clock", clock={"sec": sec, "nanosec": nanosec})
-        replayed(run, walk, images=4)
-        assert stamp(run.messages("diagnostics")[-1].header) == BEGIN_NS
-
-
 def test_what_is_not_there_yet_is_waited_for_and_said(walk: Path) -> None:
     with running(walk) as run:
         run.transport.withdraw(IMAGES)
-        run.wait(lambda: any(line.startswith("waits: no image topic") for line in run.told))
-        assert run.messages("diagnostics")[-1].status[0].message.startswith("waits: no image topic")
-        assert run.messages("diagnostics")[-1].status[0].level == 3
+        run.wait_told("waits: no image topic")
+        assert run.status().message.startswith("waits: no image topic")
+        assert run.status().level == 3
         run.transport.offer(IMAGES, "sensor_msgs/CompressedImage")
         replayed(run, walk, images=3)
 
@@ -406,11 +385,9 @@ def test_what_is_not_there_yet_is_waited_for_and_said(walk: Path) -> None:
 def test_two_cameras_end_it_with_the_option_that_names_one(walk: Path) -> None:
     with running(walk) as run:
         run.transport.offer("/other/image", "sensor_msgs/Image")
-        end_s = time.monotonic() + 5
-        while run.error is None and time.monotonic() < end_s:
-            time.sleep(0.01)
-    assert isinstance(run.error, VaporTrackError)
-    assert "2 image topics, expected one; name it by --image-topic" in str(run.error)
+        error = run.wait_for_error()
+    assert isinstance(error, VaporTrackError)
+    assert "2 image topics, expected one; name it by --image-topic" in str(error)
 
 
 def test_an_error_of_the_callback_comes_out(walk: Path) -> None:
@@ -418,18 +395,15 @@ def test_an_error_of_the_callback_comes_out(walk: Path) -> None:
         raise ZeroDivisionError("of the caller")
 
     with running(walk, on_estimate=fail) as run:
-        run.wait(lambda: any(each.topic == IMAGES for each in run.transport.subscribed))
+        run.wait_until_subscribed()
         for raw in messages_of(walk):
             run.transport.say(raw)
-        end_s = time.monotonic() + 5
-        while run.error is None and time.monotonic() < end_s:
-            time.sleep(0.01)
-    assert isinstance(run.error, ZeroDivisionError)
+        assert isinstance(run.wait_for_error(), ZeroDivisionError)
 
 
-def live_of(walk: Path) -> tuple[Live, Any]:
+def live_of(walk: Path) -> tuple[LiveSession, Any]:
     transport = offering(messages_of(walk))
-    return Live(knowing(KnowingModel()), transport, ReadingOptions(), LiveConfig(), lambda _: None), transport
+    return LiveSession(knowing(KnowingModel()), transport, ReadingOptions(), LiveConfig(), lambda _: None), transport
 
 
 def test_estimates_come_by_async_for_and_its_end_leaves_the_system(walk: Path) -> None:
@@ -475,7 +449,3 @@ def test_settings_out_of_range_are_refused() -> None:
     for settings, said in (({"under": "estimate"}, "/estimate"), ({"tf_ahead_s": -1.0}, "tf_ahead_s")):
         with pytest.raises(VaporTrackError, match=said):
             LiveConfig(**settings)  # pyright: ignore[reportArgumentType]
-
-
-def test_identity_is_no_transform_of_a_walk_that_moves(walk: Path) -> None:
-    assert float(world_from_base(np.array(BEGIN_NS + NS)).distance(Poses.identity())[0]) > 0.3

@@ -12,8 +12,8 @@ from filtering.estimate import Estimate
 from sequences.frame import Frame
 from tests.helpers.localizer_walks import new_localizer, walk
 from vapor.reporting.rerun_viewer import RerunViewer
-from vapor.robot import watching
-from vapor.robot.watching import WatchingViewer
+from vapor.robot import viewers
+from vapor.robot.viewers import WatchingViewer
 
 
 class Shown(RerunViewer):
@@ -71,7 +71,7 @@ def test_a_slow_one_skips_to_the_newest(estimate: Estimate) -> None:
 def test_one_that_hangs_holds_up_neither_images_nor_the_end(
     estimate: Estimate, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(watching, "_LEAVE_S", 0.1)
+    monkeypatch.setattr(viewers, "_LEAVE_S", 0.1)
     turn = threading.Event()
     begin_s = time.monotonic()
     with WatchingViewer(lambda: Shown(turn=turn), lambda _: None) as viewer:
@@ -87,7 +87,7 @@ def test_one_that_fails_is_told_once(estimate: Estimate) -> None:
         while not told:
             time.sleep(0.001)
         show(viewer, estimate, 2, 3)
-    assert told == ["the viewer shows no more: gone"]
+    assert told == ["the viewer stopped: gone"]
 
 
 def test_without_a_display_no_window_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:

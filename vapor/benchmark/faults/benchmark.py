@@ -23,7 +23,7 @@ from vapor.benchmark.trials.replay import Replay
 from vapor.benchmark.trials.setup import Setup, TrialsConfig, camera_paths, make_recordings, make_setups
 from vapor.cache import cached, code_digest
 from vapor.parallel.jobs import Workers, in_parallel
-from vapor.tracking.belief import Belief
+from vapor.tracking.loop import Belief
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from filtering.se3 import Poses
 from vapor.benchmark.faults import table
 from vapor.benchmark.faults.table import FAULTS, LONG_S, NONE, image_after
 from vapor.evaluation.trajectory import convergence_s, is_right
-from vapor.tracking.belief import Belief
+from vapor.tracking.loop import Belief
 
 
 def evaluate_fault(

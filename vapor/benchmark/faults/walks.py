@@ -23,7 +23,7 @@ from vapor.benchmark.trials.choose import Trial
 from vapor.benchmark.trials.replay import Replay, follow_replay, follow_trial, load_replay, trial_settings
 from vapor.benchmark.trials.setup import Setup, setup_settings
 from vapor.storage import fetched
-from vapor.tracking.belief import Belief
+from vapor.tracking.loop import Belief
 
 NOISE_IMAGES = 50
 """How many images of noise differ; then they repeat."""

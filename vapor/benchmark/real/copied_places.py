@@ -35,7 +35,7 @@ from vapor.cache import digest
 from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.checkpoints.file_format import load_checkpoint
 from vapor.storage import fetched, published
-from vapor.tracking.passage import Passage
+from vapor.tracking.follow import Passage
 from vapor.training.config import TrainConfig
 from vapor.training.presets import PRESETS
 from vapor.training.train import train_on

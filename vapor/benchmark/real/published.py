@@ -23,12 +23,12 @@ from sequences.odometry_fit.fit import fit_odometry
 from sequences.odometry_fit.pieces import OdometrySegment
 from sequences.trajectories.increments import odometry_between
 from vapor.benchmark.real.row import Draw, RowContext
+from vapor.calibration.error_correlation import Travel
 from vapor.calibration.image_errors import fit_errors
-from vapor.calibration.observations import Observations
-from vapor.calibration.travel import Travel
+from vapor.calibration.places import Observations
 from vapor.checkpoints.scene_scale import default_errors
 from vapor.pipeline.fuse import EstimateConfig, EstimateModel, errors_of, over_sequences
-from vapor.tracking.passage import Passage
+from vapor.tracking.follow import Passage
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from filtering.config import LocalizerConfig
 from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError
 from vapor.engines.engine import EngineConfig
-from vapor.tracking.passage import Passage
+from vapor.tracking.follow import Passage
 
 Advance = Callable[[str, int, int | None], None]
 """Called with what is being done, how much of it is done, and how much there is."""

@@ -24,7 +24,7 @@ from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.checkpoints.file_format import load_checkpoint
 from vapor.landmarks.verify import verified
 from vapor.storage import fetched, published, withdrawn
-from vapor.tracking.passage import Passage, posterior_of
+from vapor.tracking.follow import Passage, posterior_of
 from vapor.training.config import TrainConfig
 from vapor.training.presets import PRESETS
 from vapor.training.progress import ProgressCallback

@@ -25,8 +25,7 @@ from vapor.cache import cached
 from vapor.landmarks.localize import VerifiedPose
 from vapor.landmarks.verify import verified
 from vapor.tracking.ablations import ABLATIONS
-from vapor.tracking.follow import Followed, follow
-from vapor.tracking.passage import Passage, posterior_of
+from vapor.tracking.follow import Followed, Passage, follow, posterior_of
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import numpy as np
 
 from vapor.evaluation.consistency import REGIONS
 from vapor.evaluation.trajectory import RIGHT, THRESHOLDS
-from vapor.landmarks.shown import ShownLandmarks
+from vapor.landmarks.verify import ShownLandmarks
 from vapor.reporting.drawing import as_jpeg
 from vapor.reporting.html.page import Block, Page, code, folded, paragraph, picture, section, table
 from vapor.reporting.html.run_figures import belief_plot, error_plot, run_scene, status_strip

@@ -11,10 +11,9 @@ from filtering.error_model import ErrorModel
 from filtering.se3 import Poses
 from tests.helpers.erring_posteriors import TRUE, fit, posteriors, walk
 from tests.helpers.full import full, some
+from vapor.calibration.error_correlation import ErrorCorrelation, Travel, fit_error_correlation
 from vapor.calibration.image_errors import fit_errors
-from vapor.calibration.lasting_errors import LastingErrors, lasting_errors
-from vapor.calibration.observations import Observations
-from vapor.calibration.travel import Travel
+from vapor.calibration.places import Observations
 from vapor.checkpoints.scene_scale import default_errors, scene_extent
 
 pytestmark = pytest.mark.usefixtures("unchecked", "widest_places")  # that is what is found here as well
@@ -103,10 +102,10 @@ def test_images_that_never_mistake_the_place_are_worth_one_a_length():
     assert fit_lasting(0.5, 0.65).errors.mistaken_lengths == pytest.approx(1.0, abs=0.5)
 
 
-def found_lasting(normal: np.ndarray, truth: Poses, passes: int = 1, extent: float = 20.0) -> LastingErrors:
+def found_lasting(normal: np.ndarray, truth: Poses, passes: int = 1, extent: float = 20.0) -> ErrorCorrelation:
     """What is found of errors (n, 6) of images at these poses, in passes of equal numbers."""
     travel = Travel.along(truth, np.repeat(np.arange(passes), len(truth) // passes))
-    return lasting_errors(normal, np.ones(len(normal), bool), travel, extent)
+    return fit_error_correlation(normal, np.ones(len(normal), bool), travel, extent)
 
 
 @full
