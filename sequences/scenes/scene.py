@@ -12,7 +12,7 @@ from filtering.se3 import Poses
 from sequences.odometry import OdometryNoise
 from sequences.rendering.light import Sampling
 from sequences.rendering.mesh import Placement
-from sequences.rendering.surface import LitScene, build_scene
+from sequences.rendering.render import LitScene, build_scene
 
 SPLITS = {"train": 1, "test": 2}
 """The number of each split, in seeds."""

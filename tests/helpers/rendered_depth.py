@@ -5,8 +5,7 @@ from jaxtyping import Float32, Int64
 
 from filtering.se3 import Poses
 from sequences.frame import Camera
-from sequences.rendering.render import pixel_rays
-from sequences.rendering.surface import LitScene
+from sequences.rendering.render import LitScene, pixel_rays
 
 
 def depth_and_quads(

@@ -9,9 +9,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float64
 
-from sequences.scenes.building.furniture.catalogue import MIDDLE, WANTED, draw_furniture
-from sequences.scenes.building.furniture.fixtures import radiator
-from sequences.scenes.building.furniture.piece import Piece
+from sequences.scenes.building.furniture import MIDDLE, WANTED, Piece, draw_furniture, radiator
 from sequences.scenes.building.plan import DOOR_WIDTH, Plan, Slot, Spot
 
 CLEARANCE_M = 0.5  # from where one walks to anything that stands on the floor

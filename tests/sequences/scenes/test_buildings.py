@@ -13,17 +13,13 @@ from sequences.reader import SequenceReader
 from sequences.rendering import surface
 from sequences.rendering.light import Sampling
 from sequences.rendering.mesh import Tracer, assemble
-from sequences.rendering.render import render, sees_cue
-from sequences.rendering.surface import LitScene
+from sequences.rendering.render import LitScene, render, sees_cue
 from sequences.scenes import find_scene, is_scene
 from sequences.scenes.building import scene as building
-from sequences.scenes.building.cues import unique_things
-from sequences.scenes.building.draw_plan import draw_plan
 from sequences.scenes.building.layout import layout
-from sequences.scenes.building.plan import Plan
-from sequences.scenes.building.scene import placements
-from sequences.scenes.building.visit import draw_visit
-from sequences.scenes.building.walk import TRAINING_WALKS, walk_building
+from sequences.scenes.building.plan import Plan, draw_plan
+from sequences.scenes.building.scene import placements, unique_things
+from sequences.scenes.building.walk import TRAINING_WALKS, draw_visit, walk_building
 from sequences.scenes.building.ways import ways
 from sequences.scenes.scene import Scene
 from sequences.synthesize import synthesize, write_synthetic
