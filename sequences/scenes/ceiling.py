@@ -24,7 +24,6 @@ SIGN_AT = (13.2, 5.1)
 
 
 def _grid(canvas: Canvas, base: np.ndarray) -> np.ndarray:
-    """The painted steel grid that holds the panels: a bright flange with a shadow line beside it."""
     x, y = canvas.x % PANEL, canvas.y % PANEL
     edge = np.minimum(np.minimum(x, PANEL - x), np.minimum(y, PANEL - y))
     base = base * (1 - 0.6 * np.exp(-np.clip(edge - 0.016, 0, None) / 0.009) * (edge > 0.016))[..., None]
@@ -32,7 +31,6 @@ def _grid(canvas: Canvas, base: np.ndarray) -> np.ndarray:
 
 
 def _tile(canvas: Canvas) -> np.ndarray:
-    """Mineral fibre: rows of pin holes, worm-like fissures."""
     base = canvas.colour((0.70, 0.69, 0.655)) * (1 + 0.02 * canvas.noise(0.2) + 0.02 * canvas.noise(0.01))[..., None]
     fissures = np.clip(canvas.noise(0.035, 0.012) - 1.5, 0, 0.5) + np.clip(canvas.noise(0.012) - 2.2, 0, 0.5)
     base = blend(base, (0.26, 0.25, 0.23), fissures)
@@ -42,7 +40,6 @@ def _tile(canvas: Canvas) -> np.ndarray:
 
 
 def _speaker(canvas: Canvas) -> np.ndarray:
-    """A panel with a round loudspeaker grille."""
     base = _tile(canvas)
     radius = np.hypot(canvas.x - 0.3, canvas.y - 0.3)
     ring = np.clip(np.sin(radius * 2 * np.pi / 0.02), 0, 1)
@@ -52,7 +49,6 @@ def _speaker(canvas: Canvas) -> np.ndarray:
 
 
 def _diffuser(canvas: Canvas) -> np.ndarray:
-    """The glowing underside of a lamp, behind cross blades."""
     glow = np.exp(-(((canvas.y - canvas.height_m / 2) / 0.09) ** 2))
     base = canvas.colour((1.0, 0.97, 0.90)) * (0.4 + 0.6 * glow + 0 * canvas.x)[..., None]
     blades = 1 - band(canvas.x % 0.1, 0.008, 0.092)
@@ -61,12 +57,10 @@ def _diffuser(canvas: Canvas) -> np.ndarray:
 
 
 def _floor(canvas: Canvas) -> np.ndarray:
-    """A worn grey floor."""
     return weathered(canvas, canvas.colour((0.46, 0.43, 0.38)), 0.1)
 
 
 def _outlet_art(canvas: Canvas) -> np.ndarray:
-    """A square air outlet of nested frames, dark gaps between."""
     reach = np.maximum(np.abs(canvas.x - 0.3), np.abs(canvas.y - 0.3))
     gaps = (reach % 0.055) < 0.026
     base = canvas.colour((0.62, 0.62, 0.60)) * (1 + 0.03 * canvas.noise(0.1))[..., None]
@@ -76,7 +70,6 @@ def _outlet_art(canvas: Canvas) -> np.ndarray:
 
 
 def _stain(canvas: Canvas) -> np.ndarray:
-    """An old water stain with brown rims."""
     base = _tile(canvas)
     radius = np.hypot(canvas.x - 0.3, canvas.y - 0.3) + 0.03 * canvas.noise(0.12) + 0.008 * canvas.noise(0.03)
     base = blend(base, (0.42, 0.27, 0.11), 0.75 * (1 - texture.step(radius, 0.22, 0.05)))
@@ -85,7 +78,6 @@ def _stain(canvas: Canvas) -> np.ndarray:
 
 
 def _sign_art(canvas: Canvas) -> np.ndarray:
-    """A green exit sign: door, arrow."""
     base = canvas.colour((0.01, 0.42, 0.12))
     base = blend(base, (0.9, 1.0, 0.92), inside(canvas, 0.36, 0.05, 0.50, 0.25))
     shaft = inside(canvas, 0.14, 0.13, 0.30, 0.17)
@@ -94,13 +86,11 @@ def _sign_art(canvas: Canvas) -> np.ndarray:
 
 
 def _panelled(canvas: Canvas) -> np.ndarray:
-    """Upright boards of wood."""
     base = texture.wood(canvas) * 1.2
     return blend(base, (0.03, 0.02, 0.01), 1 - band(canvas.x % 0.45, 0.01, 0.44) + 0 * canvas.y)
 
 
 def _masonry(canvas: Canvas) -> np.ndarray:
-    """Blocks of sandstone in running bond."""
     row = np.floor(canvas.y / 0.2)
     x = (canvas.x + 0.2 * (row % 2)) % 0.4
     base = weathered(canvas, canvas.colour((0.45, 0.30, 0.20)), 0.12)
@@ -112,14 +102,12 @@ SPEAKER = Material(_speaker, texel_m=0.005)
 
 
 def _panel(material: Material, cue: bool = False) -> Part:
-    """One panel of the ceiling."""
     part = Part(cue=cue)
     part.quad((0, PANEL, 0), (PANEL, 0, 0), (0, -PANEL, 0), material)
     return part
 
 
 def _lamp() -> Part:
-    """A long lamp on two rods that lights the hall and, more gently, the ceiling above it."""
     part = Part()
     x0, x1, y0, y1, low, high = 0.0, 1.2, 0.18, 0.42, -0.51, -0.45
     body = plain((0.45, 0.45, 0.44), gloss=0.2)
@@ -133,14 +121,12 @@ def _lamp() -> Part:
 
 
 def _hall() -> Part:
-    """The floor."""
     part = Part()
     part.quad((0, 0, 0), (LENGTH, 0, 0), (0, BREADTH, 0), Material(_floor, texel_m=0.05))
     return part
 
 
 def _walls() -> Part:
-    """Four walls, each of another make, under a white cornice; seen from near only."""
     part = Part(cue=True)
     part.quad((LENGTH, 0, 0), (-LENGTH, 0, 0), (0, 0, HEIGHT), Material(texture.plaster, texel_m=0.012))
     part.quad((0, BREADTH, 0), (LENGTH, 0, 0), (0, 0, HEIGHT), plain((0.16, 0.25, 0.38)))
@@ -156,7 +142,6 @@ def _walls() -> Part:
 
 
 def _outlet() -> Part:
-    """An air outlet in place of a panel."""
     part = _panel(Material(_outlet_art, texel_m=0.005), cue=True)
     part.box((0.03, 0.03, -0.03), (0.57, 0.57, 0.0), plain((0.6, 0.6, 0.58)), "xXyY")
     part.quad((0.03, 0.57, -0.03), (0.54, 0, 0), (0, -0.54, 0), Material(_outlet_art, texel_m=0.005))
@@ -164,7 +149,6 @@ def _outlet() -> Part:
 
 
 def _hole() -> Part:
-    """A missing panel: the dark void above, with a pipe, a cable tray and a hanging cable."""
     part = Part(cue=True)
     dark, depth = plain((0.10, 0.095, 0.09)), 0.6
     part.quad((0, PANEL, depth), (PANEL, 0, 0), (0, -PANEL, 0), plain((0.16, 0.15, 0.14), amount=0.2))
@@ -179,7 +163,6 @@ def _hole() -> Part:
 
 
 def _stains() -> Part:
-    """Water stains on a few neighbouring panels."""
     part = Part(cue=True)
     for ix, iy in STAIN_AT:
         corner = (ix * PANEL, (iy + 1) * PANEL, HEIGHT - 0.002)
@@ -188,7 +171,6 @@ def _stains() -> Part:
 
 
 def _projector() -> Part:
-    """A projector on a pole."""
     part = Part(cue=True)
     black, white = plain((0.05, 0.05, 0.055), gloss=0.4), plain((0.62, 0.62, 0.6), gloss=0.2)
     part.beam((0, 0, 0), (0, 0, -0.35), 0.03, white, 8)
@@ -202,7 +184,6 @@ def _projector() -> Part:
 
 
 def _exit_sign() -> Part:
-    """A hanging exit sign, lit from inside, with slanted faces that read from below."""
     part = Part(cue=True)
     art = Material(_sign_art, emission=2.2, texel_m=0.005)
     frame = plain((0.6, 0.6, 0.58))
@@ -243,7 +224,6 @@ def roll_through_hall(duration_s: float, *, margin_m: float, rng: np.random.Gene
 
 
 def _placements() -> list[Placement]:
-    """Everything in the hall: x along it, y across, z up, the floor at z = 0."""
     across, along = round(BREADTH / PANEL), round(LENGTH / PANEL)
     middle = (along // CELL[0] // 2) * (across // CELL[1]) + across // CELL[1] // 2
     placed = []

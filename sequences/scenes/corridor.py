@@ -60,7 +60,6 @@ def _wall(canvas: Canvas, bay: int, high_y: bool) -> np.ndarray:
 
 
 def _linoleum(canvas: Canvas) -> np.ndarray:
-    """Squares of two greys with joints, and a dark border along the walls."""
     tile = (np.floor(canvas.x / 0.5) + np.floor(canvas.y / 0.4)) % 2
     base = weathered(canvas, canvas.colour((0.25, 0.27, 0.27)), 0.08) * (1 + 0.25 * tile)[..., None]
     joint = 1 - band(canvas.x % 0.5, 0.006, 0.494) * band(canvas.y % 0.4, 0.006, 0.394)
@@ -69,14 +68,12 @@ def _linoleum(canvas: Canvas) -> np.ndarray:
 
 
 def _panels(canvas: Canvas) -> np.ndarray:
-    """Ceiling panels of 0.625 m × 0.6 m in a white grid."""
     base = weathered(canvas, canvas.colour((0.62, 0.61, 0.58)), 0.03)
     grid = 1 - band(canvas.x % 0.625, 0.012, 0.613) * band(canvas.y % 0.6, 0.012, 0.588)
     return blend(base, (0.35, 0.35, 0.34), grid)
 
 
 def _sheets(canvas: Canvas, colour: tuple[float, float, float]) -> np.ndarray:
-    """A felt board of one colour with white sheets."""
     base = weathered(canvas, canvas.colour(colour), 0.06)
     for x0, y0, x1, y1 in ((0.08, 0.38, 0.29, 0.68), (0.36, 0.42, 0.57, 0.70), (0.70, 0.30, 1.0, 0.52)):
         lines = inside(canvas, x0 + 0.02, y0 + 0.03, x1 - 0.02, y1 - 0.05) * (np.sin(canvas.y * 2 * np.pi / 0.04) > 0.2)
@@ -87,7 +84,6 @@ def _sheets(canvas: Canvas, colour: tuple[float, float, float]) -> np.ndarray:
 
 
 def _mural(canvas: Canvas, which: int) -> np.ndarray:
-    """A painted wall: waves, suns, stripes or squares, each in colours of its own."""
     x, y = canvas.x + 0 * canvas.y, canvas.y + 0 * canvas.x
     if which == 0:  # blue waves under a white sky
         base = canvas.colour((0.75, 0.78, 0.80))
@@ -104,7 +100,6 @@ def _mural(canvas: Canvas, which: int) -> np.ndarray:
 
 
 def _sign_art(canvas: Canvas) -> np.ndarray:
-    """A green exit sign with a white arrow."""
     arrow = inside(canvas, 0.1, 0.08, 0.3, 0.12) + inside(canvas, 0.1, 0.04, 0.15, 0.16)
     return blend(canvas.colour((0.01, 0.42, 0.12)), (0.9, 1.0, 0.92), arrow)
 
@@ -117,7 +112,6 @@ SKY = Material(texture.sky, emission=6.0, glare=0.4)
 
 
 def _shell() -> Part:
-    """Floor and ceiling from lamp to lamp, with the lamp in the middle."""
     part, middle = Part(), LAMP_SPACING / 2
     part.quad((0, 0, 0), (LAMP_SPACING, 0, 0), (0, WIDTH, 0), Material(_linoleum, gloss=0.35, texel_m=0.01))
     part.quad((0, WIDTH, HEIGHT), (LAMP_SPACING, 0, 0), (0, -WIDTH, 0), Material(_panels, texel_m=0.012))
@@ -130,7 +124,6 @@ def _shell() -> Part:
 def _quad_on_wall(
     part: Part, x0: float, x1: float, low: float, high: float, depth: float, high_y: bool, paint: Material
 ) -> None:
-    """Add a rectangle in front of one of the long walls."""
     if high_y:
         part.quad((x0, WIDTH - depth, low), (x1 - x0, 0, 0), (0, 0, high - low), paint)
     else:
@@ -140,13 +133,11 @@ def _quad_on_wall(
 def _box_on_wall(
     part: Part, x0: float, x1: float, low: float, high: float, depth: float, high_y: bool, paint: Material
 ) -> None:
-    """Add a box that stands out from one of the long walls."""
     y0, y1 = (WIDTH - depth, WIDTH) if high_y else (0.0, depth)
     part.box((x0, y0, low), (x1, y1, high), paint, "xXzZ" + ("y" if high_y else "Y"))
 
 
 def _walls(bay: int) -> Part:
-    """Both walls of one bay."""
     part = Part()
     for high_y in (False, True):
         paint = Material(lambda canvas, high_y=high_y: _wall(canvas, bay, high_y), gloss=0.12, texel_m=0.012)
@@ -155,7 +146,6 @@ def _walls(bay: int) -> Part:
 
 
 def _frame(part: Part | None = None) -> Part:
-    """A frame around the corridor, half of it on either side of x = 0."""
     part, half = part or Part(), FRAME_WIDTH / 2
     for high_y in (False, True):
         _box_on_wall(part, -half, half, 0.0, HEIGHT, FRAME_DEPTH, high_y, FRAME)
@@ -164,7 +154,6 @@ def _frame(part: Part | None = None) -> Part:
 
 
 def _bay(stain: tuple[float, float, float]) -> Part:
-    """A frame, and a door of one colour in each wall: further on in the wall at high y."""
     part = _frame()
     door = Material(lambda canvas: texture.door(canvas) * np.array(stain, np.float32))
     for high_y, x0 in zip((False, True), DOORS_AT, strict=True):
@@ -179,7 +168,6 @@ def _bay(stain: tuple[float, float, float]) -> Part:
 
 
 def _board(bay: int, high_y: bool, colour: tuple[float, float, float]) -> Part:
-    """A notice board between a door and a frame."""
     part, x0 = Part(), bay * BAY + (0.3 if high_y else 1.75)
     paint = Material(lambda canvas: _sheets(canvas, colour), texel_m=0.008)
     _box_on_wall(part, x0, x0 + 1.08, 1.15, 1.95, 0.025, high_y, paint)
@@ -187,7 +175,6 @@ def _board(bay: int, high_y: bool, colour: tuple[float, float, float]) -> Part:
 
 
 def _window_end() -> Part:
-    """The end at x = 0: a wide window, low in the wall, and a radiator."""
     part, y0, y1, z0, z1, deep = Part(), 0.4, 2.0, 0.9, 2.1, -0.2
     white = Material(texture.plaster)
     for low, high, a, b in ((0, z0, 0, WIDTH), (z1, HEIGHT, 0, WIDTH), (z0, z1, 0, y0), (z0, z1, y1, WIDTH)):
@@ -204,7 +191,6 @@ def _window_end() -> Part:
 
 
 def _door_end() -> Part:
-    """The end at x = 75 m: a dark red wall, a double door of steel, a lit sign above it."""
     part, x = Part(), LENGTH
     part.quad((x, WIDTH, 0), (0, -WIDTH, 0), (0, 0, HEIGHT), plain((0.30, 0.09, 0.07)))
     part.box((x - 0.03, 0.4, 0), (x, 2.0, 2.1), Material(texture.steel, gloss=0.4), "xyYZ")
@@ -216,7 +202,6 @@ def _door_end() -> Part:
 
 
 def _murals(level: int) -> Part:
-    """The painted walls of one floor: both walls of the first bay, and both of the last."""
     part, rim = Part(cue=True), (BAY - MURAL) / 2
     for end, x0 in enumerate((rim, LENGTH - BAY + rim)):
         for high_y in (False, True):
@@ -262,7 +247,6 @@ def walk_corridor(duration_s: float, *, rng: np.random.Generator) -> Poses:
 
 
 def _placements() -> list[Placement]:
-    """Everything on both floors: x along the corridor, y across, z up, the lower floor at z = 0."""
     floors = np.array([[0.0, 0.0, level * FLOOR_HEIGHT] for level in range(NUM_FLOORS)])
 
     def along(places: list[float]) -> np.ndarray:

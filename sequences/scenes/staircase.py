@@ -37,7 +37,6 @@ from sequences.scenes.stairwell import (
 
 
 def _poster_art(canvas: Canvas) -> np.ndarray:
-    """A travel poster: sun, hills, sea and a title."""
     x, y = canvas.x / canvas.width_m, canvas.y / canvas.height_m
     base = canvas.colour((0.95, 0.42, 0.06)) * (0.7 + 0.45 * (1 - y))[..., None]
     sun = np.hypot(canvas.x - 0.62 * canvas.width_m, canvas.y - 0.66 * canvas.height_m)
@@ -52,7 +51,6 @@ def _poster_art(canvas: Canvas) -> np.ndarray:
 
 
 def _notices(canvas: Canvas) -> np.ndarray:
-    """A cork board with sheets of paper."""
     base = weathered(canvas, canvas.colour((0.36, 0.22, 0.11)), 0.12)
     sheets = [
         (0.06, 0.40, 0.27, 0.70, (0.85, 0.85, 0.82)),
@@ -74,7 +72,6 @@ def _notices(canvas: Canvas) -> np.ndarray:
 
 
 def _letter_boxes(canvas: Canvas) -> np.ndarray:
-    """Rows of metal letter boxes with slots and name plates."""
     base = texture.brushed(canvas)
     x, y = canvas.x % 0.3, canvas.y % 0.2
     gaps = 1 - band(x, 0.008, 0.292) * band(y, 0.008, 0.192)
@@ -84,7 +81,6 @@ def _letter_boxes(canvas: Canvas) -> np.ndarray:
 
 
 def _street(canvas: Canvas) -> np.ndarray:
-    """Daylight behind the glazed entrance doors: pavement, a facade, sky."""
     height = canvas.y
     base = canvas.colour((0.75, 0.87, 1.0))
     facade = np.array([0.55, 0.40, 0.28]) * np.clip(1 + 0.1 * canvas.noise(0.1), 0, 2)[..., None]
@@ -95,7 +91,6 @@ def _street(canvas: Canvas) -> np.ndarray:
 
 
 def _mat(canvas: Canvas) -> np.ndarray:
-    """A red coir mat with a black rim."""
     base = canvas.colour((0.23, 0.035, 0.03)) * np.clip(1 + 0.25 * canvas.noise(0.012), 0.2, 2)[..., None]
     return blend(
         base, (0.03, 0.03, 0.03), 1 - inside(canvas, 0.05, 0.05, canvas.width_m - 0.05, canvas.height_m - 0.05)
@@ -103,7 +98,6 @@ def _mat(canvas: Canvas) -> np.ndarray:
 
 
 def _brick(canvas: Canvas) -> np.ndarray:
-    """Bare brick in running bond."""
     row = np.floor(canvas.y / 0.075)
     x = (canvas.x + 0.12 * (row % 2)) % 0.24
     joint = 1 - band(x, 0.01, 0.23) * band(canvas.y % 0.075, 0.01, 0.065)
@@ -113,12 +107,10 @@ def _brick(canvas: Canvas) -> np.ndarray:
 
 
 def _cloudy(canvas: Canvas) -> np.ndarray:
-    """Bright sky with haze."""
     return blend(canvas.colour((0.55, 0.75, 1.0)), (1.0, 1.0, 1.0), 0.5 + 0.4 * canvas.noise(0.4))
 
 
 def _entrance() -> Part:
-    """Ground floor: glazed doors to the street, mat, letter boxes, notice board."""
     part = Part(cue=True)
     part.quad((0.02, 0.55, 0), (0, 1.5, 0), (0, 0, 2.35), Material(_street, emission=6.0, glare=0.4))
     green = plain((0.03, 0.10, 0.07), gloss=0.4)
@@ -144,7 +136,6 @@ def _cellar() -> Part:
 
 
 def _poster() -> Part:
-    """The poster on one floor."""
     part = Part(cue=True)
     part.box((0.0, 1.46, 0.85), (0.02, 2.48, 2.3), Material(_poster_art, gloss=0.15, texel_m=0.004), "XyYzZ")
     return part
@@ -175,7 +166,6 @@ def _top() -> Part:
 
 
 def _roof_walls() -> Part:
-    """Walls above the last flight."""
     part = Part()
     part.quad((FAR, 0, 0), (LANDING - FAR, 0, 0), (0, 0, TOP_HEIGHT), WHITE)
     part.quad((LANDING, ACROSS, 0), (FAR - LANDING, 0, 0), (0, 0, TOP_HEIGHT), WALL_TOP)
@@ -258,7 +248,6 @@ def _stair_line() -> tuple[Float64[np.ndarray, "n 4"], float]:
 
 
 def _placements() -> list[Placement]:
-    """Everything that stands in the stairwell: x along the flights, y across, z up, the entrance floor at z = 0."""
     floors = np.array([[0.0, 0.0, level * FLOOR_HEIGHT] for level in range(NUM_FLOORS)])
     top = floors[-1:]
     return [

@@ -29,17 +29,15 @@ class Piece:
 
 
 def _timber(rng: np.random.Generator) -> Material:
-    """Wood in some stain, or paint."""
     if rng.random() < 0.3:
         return plain(colour(rng, 0.6, 0.4), gloss=0.2)
-    stain = float(rng.uniform(0.5, 2.2))
+    stain = rng.uniform(0.5, 2.2)
     return Material(lambda canvas: texture.wood(canvas) * np.float32(stain), gloss=0.2, texel_m=0.012)
 
 
 def _books(rng: np.random.Generator) -> Material:
-    """Shelves full of books, or of boxes."""
-    shelf, seed = float(rng.uniform(0.3, 0.42)), int(rng.integers(1 << 30))
-    spine, stain = float(rng.uniform(0.03, 0.2)), float(rng.uniform(0.5, 2.0))
+    shelf, seed = rng.uniform(0.3, 0.42), int(rng.integers(1 << 30))
+    spine, stain = rng.uniform(0.03, 0.2), rng.uniform(0.5, 2.0)
 
     def paint(canvas: Canvas) -> np.ndarray:
         drawn = np.random.default_rng(seed)
@@ -61,8 +59,6 @@ def _books(rng: np.random.Generator) -> Material:
 
 
 def _fronts(rgb: Rgb, columns: int, rows: int) -> Material:
-    """Drawers or doors of a cupboard with handles."""
-
     def paint(canvas: Canvas) -> np.ndarray:
         w, h = canvas.width_m / columns, canvas.height_m / rows
         x, y = canvas.x % w, canvas.y % h
@@ -74,13 +70,11 @@ def _fronts(rgb: Rgb, columns: int, rows: int) -> Material:
 
 
 def _screen(canvas: Canvas) -> np.ndarray:
-    """A dark screen in a black frame."""
     base = canvas.colour((0.02, 0.02, 0.022))
     return blend(base, (0.04, 0.06, 0.09), inside(canvas, 0.02, 0.02, canvas.width_m - 0.02, canvas.height_m - 0.02))
 
 
 def _whiteboard(canvas: Canvas) -> np.ndarray:
-    """A white board with some writing."""
     base = canvas.colour((0.75, 0.76, 0.76))
     lines = (np.sin(canvas.y * 2 * np.pi / 0.13) > 0.75) & (canvas.noise(0.15, 0.05) > 0.1)
     written = inside(canvas, 0.15, 0.3, 0.7 * canvas.width_m, canvas.height_m - 0.12) * lines
@@ -90,7 +84,6 @@ def _whiteboard(canvas: Canvas) -> np.ndarray:
 
 
 def _leaves(canvas: Canvas) -> np.ndarray:
-    """Foliage: light and dark green."""
     tone = np.clip(1 + 0.5 * canvas.noise(0.05) + 0.4 * canvas.noise(0.02), 0.15, 2.2)
     return canvas.colour((0.06, 0.15, 0.04)) * tone[..., None]
 
@@ -98,7 +91,6 @@ def _leaves(canvas: Canvas) -> np.ndarray:
 def _cupboard(
     rng: np.random.Generator, size: tuple[float, float, float], fronts: tuple[int, int], saturation: float = 0.5
 ) -> Piece:
-    """A box of a size (width, depth, height) with columns and rows of fronts."""
     part, (w, d, h) = Part(), size
     rgb = colour(rng, saturation, 0.35)
     part.box((0, 0, 0), (w, d, h), plain(rgb, gloss=0.2), "xXZ")
@@ -107,28 +99,23 @@ def _cupboard(
 
 
 def _cabinet(rng: np.random.Generator) -> Piece:
-    """A low cupboard with drawers."""
-    return _cupboard(rng, (float(rng.uniform(0.7, 1.3)), 0.45, float(rng.uniform(0.7, 1.2))), (2, 3))
+    return _cupboard(rng, (rng.uniform(0.7, 1.3), 0.45, rng.uniform(0.7, 1.2)), (2, 3))
 
 
 def _wardrobe(rng: np.random.Generator) -> Piece:
-    """A high cupboard with two doors."""
-    return _cupboard(rng, (float(rng.uniform(1.0, 1.6)), 0.58, float(rng.uniform(1.9, 2.15))), (2, 1))
+    return _cupboard(rng, (rng.uniform(1.0, 1.6), 0.58, rng.uniform(1.9, 2.15)), (2, 1))
 
 
 def _fridge(rng: np.random.Generator) -> Piece:
-    """A pale cupboard with two doors, one above the other."""
-    return _cupboard(rng, (0.62, 0.6, float(rng.uniform(1.5, 1.9))), (1, 2), 0.1)
+    return _cupboard(rng, (0.62, 0.6, rng.uniform(1.5, 1.9)), (1, 2), 0.1)
 
 
 def _lockers(rng: np.random.Generator) -> Piece:
-    """A row of four coloured lockers."""
-    return _cupboard(rng, (float(rng.uniform(0.9, 1.5)), 0.45, 1.8), (4, 1), 0.8)
+    return _cupboard(rng, (rng.uniform(0.9, 1.5), 0.45, 1.8), (4, 1), 0.8)
 
 
 def _counter(rng: np.random.Generator) -> Piece:
-    """A kitchen counter with a sink, and cupboards above it."""
-    part, w = Part(), float(rng.uniform(1.4, 2.2))
+    part, w = Part(), rng.uniform(1.4, 2.2)
     rgb, top = colour(rng, 0.6, 0.4), plain(colour(rng, 0.2, 0.25), gloss=0.4)
     part.box((0, 0, 0), (w, 0.56, 0.87), plain(rgb), "xX")
     part.box((0, 0, 0), (w, 0.56, 0.87), _fronts(rgb, 3, 1), "Y")
@@ -141,8 +128,7 @@ def _counter(rng: np.random.Generator) -> Piece:
 
 
 def _shelf(rng: np.random.Generator) -> Piece:
-    """A shelf full of books."""
-    part, w, d, h = Part(), float(rng.uniform(0.8, 1.2)), 0.32, float(rng.uniform(1.5, 2.1))
+    part, w, d, h = Part(), rng.uniform(0.8, 1.2), 0.32, rng.uniform(1.5, 2.1)
     body = _timber(rng)
     part.box((0, 0, 0), (w, d, h), body, "xXZ")
     part.box((0, 0, 0), (w, d - 0.01, h), _books(rng), "Y")
@@ -152,8 +138,7 @@ def _shelf(rng: np.random.Generator) -> Piece:
 
 
 def _rack(rng: np.random.Generator) -> Piece:
-    """A metal rack with boxes on it."""
-    part, w, d, h = Part(), float(rng.uniform(0.9, 1.4)), 0.45, float(rng.uniform(1.3, 2.0))
+    part, w, d, h = Part(), rng.uniform(0.9, 1.4), 0.45, rng.uniform(1.3, 2.0)
     metal = plain(colour(rng, 0.5, 0.25), gloss=0.4)
     for x in (0.0, w - 0.04):
         for y in (0.0, d - 0.04):
@@ -163,25 +148,23 @@ def _rack(rng: np.random.Generator) -> Piece:
     for z in np.linspace(0.15, h - 0.03, 4)[:3]:
         x = 0.08
         while x < w - 0.3:
-            size = float(rng.uniform(0.18, 0.34))
-            high = z + 0.03 + float(rng.uniform(0.12, 0.28))
+            size = rng.uniform(0.18, 0.34)
+            high = z + 0.03 + rng.uniform(0.12, 0.28)
             part.box((x, 0.06, z + 0.03), (x + size, d - 0.06, high), plain(colour(rng, 0.7, 0.3)), "xXyYZ")
-            x += size + float(rng.uniform(0.03, 0.2))
+            x += size + rng.uniform(0.03, 0.2)
     return Piece(part, w, d, h)
 
 
 def _boxes(rng: np.random.Generator) -> Piece:
-    """A pile of three cardboard boxes."""
     part = Part()
     for x, y, z, size in ((0.0, 0.0, 0.0, 0.5), (0.52, 0.05, 0.0, 0.4), (0.06, 0.04, 0.5, 0.38)):
-        tint = float(rng.uniform(0.7, 1.3))
+        tint = rng.uniform(0.7, 1.3)
         card = plain((0.30 * tint, 0.2 * tint, 0.11 * tint), amount=0.08)
         part.box((x, y, z), (x + size, y + size, z + size), card, "xXyYZ")
     return Piece(part, 0.92, 0.5, 0.88)
 
 
 def _crates(rng: np.random.Generator) -> Piece:
-    """Coloured crates, one on the other."""
     part = Part()
     for x, z, w in ((0.0, 0.0, 0.6), (0.62, 0.0, 0.5), (0.1, 0.45, 0.5), (0.2, 0.8, 0.4)):
         part.box((x, 0.0, z), (x + w, 0.6, z + 0.42 - z / 4), plain(colour(rng, 0.8, 0.25)), "xXyYZ")
@@ -189,7 +172,6 @@ def _crates(rng: np.random.Generator) -> Piece:
 
 
 def _waste_bin(rng: np.random.Generator) -> Piece:
-    """A round bin."""
     part = Part()
     part.beam((0.2, 0.2, 0), (0.2, 0.2, 0.5), 0.17, plain(colour(rng, 0.8, 0.25), gloss=0.3), 10)
     part.box((0.08, 0.08, 0.46), (0.32, 0.32, 0.47), plain((0.02, 0.02, 0.02)), "Z")
@@ -197,8 +179,7 @@ def _waste_bin(rng: np.random.Generator) -> Piece:
 
 
 def _television(rng: np.random.Generator) -> Piece:
-    """A television on a low cupboard."""
-    piece = _cupboard(rng, (float(rng.uniform(1.2, 1.7)), 0.42, 0.5), (3, 1))
+    piece = _cupboard(rng, (rng.uniform(1.2, 1.7), 0.42, 0.5), (3, 1))
     middle, half = piece.width / 2, 0.5
     piece.part.box((middle - half, 0.15, 0.58), (middle + half, 0.19, 1.15), plain((0.02, 0.02, 0.02)), "xXyzZ")
     piece.part.box((middle - half, 0.15, 0.58), (middle + half, 0.195, 1.15), Material(_screen, gloss=0.5), "Y")
@@ -207,8 +188,7 @@ def _television(rng: np.random.Generator) -> Piece:
 
 
 def _board(rng: np.random.Generator) -> Piece:
-    """A whiteboard on the wall."""
-    part, w = Part(), float(rng.uniform(1.6, 2.6))
+    part, w = Part(), rng.uniform(1.6, 2.6)
     part.box((0, 0, 0.9), (w, 0.04, 2.0), plain((0.3, 0.3, 0.3)), "xXzZ")
     part.box((0, 0, 0.9), (w, 0.04, 2.0), Material(_whiteboard, gloss=0.3, texel_m=0.01), "Y")
     part.box((0.3, 0.04, 0.9), (w - 0.3, 0.1, 0.92), plain((0.4, 0.4, 0.4)), "xXYzZ")
@@ -216,8 +196,7 @@ def _board(rng: np.random.Generator) -> Piece:
 
 
 def _plant(rng: np.random.Generator) -> Piece:
-    """A plant in a pot."""
-    part, tall = Part(), float(rng.uniform(0.9, 1.7))
+    part, tall = Part(), rng.uniform(0.9, 1.7)
     part.beam((0.27, 0.27, 0), (0.27, 0.27, 0.35), 0.16, plain(colour(rng, 0.7, 0.3)), 8)
     part.box((0.16, 0.16, 0.33), (0.38, 0.38, 0.335), plain((0.05, 0.03, 0.02)), "Z")
     part.beam((0.27, 0.27, 0.33), (0.27, 0.27, tall), 0.015, plain((0.1, 0.07, 0.04)), 5)
@@ -238,15 +217,14 @@ def radiator() -> Piece:
 
 
 def _desk(rng: np.random.Generator) -> Piece:
-    """A desk with drawers, a screen and a keyboard."""
-    part, w, d, h = Part(), float(rng.uniform(1.1, 1.6)), 0.6, float(rng.uniform(0.7, 0.78))
+    part, w, d, h = Part(), rng.uniform(1.1, 1.6), 0.6, rng.uniform(0.7, 0.78)
     top, dark = _timber(rng), plain((0.04, 0.04, 0.045), gloss=0.3)
     part.box((0, 0, h - 0.035), (w, d, h), top)
     part.box((0.02, 0.05, 0), (0.06, d - 0.05, h - 0.035), dark, "xXyY")
     part.box((w - 0.45, 0.05, 0.05), (w - 0.03, d - 0.06, h - 0.035), plain(colour(rng, 0.4, 0.3)), "xXy")
     front = _fronts(colour(rng, 0.4, 0.35), 1, 3)
     part.box((w - 0.45, 0.05, 0.05), (w - 0.03, d - 0.05, h - 0.035), front, "Y")
-    x = w * float(rng.uniform(0.25, 0.45))
+    x = w * rng.uniform(0.25, 0.45)
     part.box((x - 0.27, 0.12, h + 0.12), (x + 0.27, 0.15, h + 0.45), dark, "xXyzZ")
     part.box((x - 0.27, 0.12, h + 0.12), (x + 0.27, 0.155, h + 0.45), Material(_screen, gloss=0.4), "Y")
     part.box((x - 0.04, 0.1, h), (x + 0.04, 0.14, h + 0.2), dark, "xXY")
@@ -256,8 +234,7 @@ def _desk(rng: np.random.Generator) -> Piece:
 
 
 def _place(rng: np.random.Generator) -> Piece:
-    """A table for one or two, with chairs."""
-    part, w = Part(), float(rng.uniform(1.0, 1.5))
+    part, w = Part(), rng.uniform(1.0, 1.5)
     _table(part, (0.0, 0.0), (w, 0.6), 0.74, rng)
     chair = plain(colour(rng, 0.8, 0.25), gloss=0.2)
     for x in (0.5 * w,) if w < 1.25 else (0.27 * w, 0.73 * w):
@@ -266,8 +243,7 @@ def _place(rng: np.random.Generator) -> Piece:
 
 
 def _dining(rng: np.random.Generator) -> Piece:
-    """A table for four, with chairs."""
-    part, w = Part(), float(rng.uniform(1.1, 1.8))
+    part, w = Part(), rng.uniform(1.1, 1.8)
     _table(part, (0.0, 0.3), (w, 1.1), 0.75, rng)
     chair = _timber(rng)
     for x in (0.22 * w, 0.78 * w):
@@ -277,21 +253,18 @@ def _dining(rng: np.random.Generator) -> Piece:
 
 
 def _low_table(rng: np.random.Generator) -> Piece:
-    """A low table on a rug."""
     piece = _rug(rng)
     _table(piece.part, (0.2, 0.18), (piece.width - 0.2, piece.depth - 0.18), 0.42, rng)
     return Piece(piece.part, piece.width, piece.depth, 0.6)
 
 
 def _rug(rng: np.random.Generator) -> Piece:
-    """A rug with a picture like no other."""
-    part, w, d = Part(), float(rng.uniform(1.0, 1.6)), float(rng.uniform(0.8, 1.2))
+    part, w, d = Part(), rng.uniform(1.0, 1.6), rng.uniform(0.8, 1.2)
     part.box((0, 0, 0), (w, d, 0.012), Material(artwork(int(rng.integers(1 << 30))), texel_m=0.01), "Z")
     return Piece(part, w, d, 0.012)
 
 
 def _table(part: Part, low: tuple[float, float], high: tuple[float, float], h: float, rng: np.random.Generator) -> None:
-    """A table on four legs, with a few things on it."""
     (x0, y0), (x1, y1) = low, high
     leg = plain(colour(rng, 0.3, 0.1), gloss=0.3)
     part.box((x0, y0, h - 0.04), (x1, y1, h), _timber(rng))
@@ -314,8 +287,7 @@ def _chair(part: Part, x: float, y: float, back_at_high_y: bool, material: Mater
 
 
 def _bed(rng: np.random.Generator) -> Piece:
-    """A bed for one or two."""
-    part, w, d = Part(), float(rng.uniform(0.9, 1.6)), 2.0
+    part, w, d = Part(), rng.uniform(0.9, 1.6), 2.0
     wood, cover = _timber(rng), plain(colour(rng, 0.8, 0.35), amount=0.12)
     part.box((0, 0, 0), (w, 0.05, 0.95), wood)
     part.box((0, 0.05, 0.12), (w, d, 0.34), wood, "xXYz")
@@ -326,12 +298,10 @@ def _bed(rng: np.random.Generator) -> Piece:
 
 
 def _sofa(rng: np.random.Generator) -> Piece:
-    """A seat for two or three."""
-    return _seat(rng, float(rng.uniform(1.5, 2.1)))
+    return _seat(rng, rng.uniform(1.5, 2.1))
 
 
 def _armchair(rng: np.random.Generator) -> Piece:
-    """A seat for one."""
     piece = _seat(rng, 0.8)
     return piece
 

@@ -137,15 +137,14 @@ def _walkway(
 
 
 def _windows(plan: Plan, width: float, rng: np.random.Generator) -> list[tuple[float, float, float, float]]:
-    top = min(plan.clear - 0.2, float(rng.uniform(2.0, 2.4)))
+    top = min(plan.clear - 0.2, rng.uniform(2.0, 2.4))
     count = 1 if width < 3.6 else int(rng.integers(1, 3))
     each = width / count
-    size = min(each - 0.7, float(rng.uniform(1.0, 2.2)))
+    size = min(each - 0.7, rng.uniform(1.0, 2.2))
     return [((k + 0.5) * each - size / 2, (k + 0.5) * each + size / 2, _SILL_M, top) for k in range(count)]
 
 
 def _finely(line: np.ndarray) -> np.ndarray:
-    """Points every 5 cm along a line (n, 2)."""
     walked = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
     at = np.arange(0, walked[-1], 0.05)
     return np.stack([np.interp(at, walked, line[:, k]) for k in range(2)], axis=1)
@@ -155,7 +154,7 @@ def _against_wall(
     piece: Piece, width: float, depth: float, rng: np.random.Generator
 ) -> tuple[Spot, tuple[float, float, float, float, float] | None]:
     """A random place with its back to a wall, and the box that it takes; None where the wall is too short."""
-    side, fraction = int(rng.integers(4)), float(rng.random())
+    side, fraction = int(rng.integers(4)), rng.random()
     w, d, h, gap = piece.width, piece.depth, piece.height, 0.02
     free = (width if side < 2 else depth) - w - 2 * gap
     if free < 0:

@@ -61,7 +61,7 @@ def draw_palette(rng: np.random.Generator, num_kinds: int) -> Palette:
         stair_wall=Material(draw_stair_wall(rng), gloss=0.1, texel_m=WALL_TEXEL_M),
         room_walls=tuple(draw_wall(rng) for _ in range(num_kinds)),
         corridor_floor=floor,
-        stair_floor=Material(stone(grey(rng)), gloss=0.5, texel_m=0.012),
+        stair_floor=stone(grey(rng)),
         room_floors=tuple(flagged if same_floors else draw_floor(rng) for _ in range(num_kinds)),
         ceiling=draw_ceiling(rng),
         trim=plain(grey(rng, 0.25, 0.6), gloss=0.2),
@@ -123,13 +123,7 @@ def place_copies(part: Part, spots: list[Spot], levels: list[int], plan: Plan) -
 
 
 def add_wall(
-    part: Part,
-    start: _Pair,
-    end: _Pair,
-    heights: _Pair,
-    material: Material,
-    holes: list[Hole],
-    trim: Material,
+    part: Part, start: _Pair, end: _Pair, heights: _Pair, material: Material, holes: list[Hole], trim: Material
 ) -> None:
     """A wall with holes, seen from the right of the way from start to end, with what closes the holes."""
     along = np.subtract(end, start)

@@ -182,18 +182,18 @@ def draw_plan(number: int) -> Plan:
     rng = np.random.default_rng([2718, number])
     levels = int(rng.integers(2, 7))
     length = float(np.exp(rng.uniform(np.log(8.0), np.log(60.0))))
-    storey = float(rng.uniform(2.8, 3.7))
+    storey = rng.uniform(2.8, 3.7)
     slab = float(rng.uniform(0.2, min(0.45, storey - 2.45)))
-    wall = float(rng.uniform(0.12, 0.28))
+    wall = rng.uniform(0.12, 0.28)
     width = float(rng.uniform(1.7, 2.2) if length < 14 else rng.uniform(1.7, 3.2))
-    flight = float(rng.uniform(1.05, 1.4))
+    flight = rng.uniform(1.05, 1.4)
     stairs = Stairs(
         flight_width=flight,
-        well=float(rng.uniform(0.1, 0.5)),
-        landing=float(rng.uniform(1.3, 1.9)),
-        half_landing=float(rng.uniform(flight + 0.1, flight + 0.5)),
+        well=rng.uniform(0.1, 0.5),
+        landing=rng.uniform(1.3, 1.9),
+        half_landing=rng.uniform(flight + 0.1, flight + 0.5),
         risers=round(storey / 2 / rng.uniform(0.16, 0.18)),
-        going=float(rng.uniform(0.26, 0.30)),
+        going=rng.uniform(0.26, 0.30),
         mirrored=bool(rng.random() < 0.5),
     )
     depth_high, depth_low = (float(d) for d in rng.uniform(3.0, 6.2, 2))
@@ -201,14 +201,14 @@ def draw_plan(number: int) -> Plan:
     one_sided = bool(rng.random() < 0.3)
     main_high = bool(rng.random() < 0.5)  # the side with rooms where there is only one
     reserved: list[Slot] = []  # stairs and the wing
-    stairs_at = [float(rng.choice([0.06, 0.5, 0.94]))] + ([float(rng.uniform(0.3, 0.7))] if length > 35 else [])
+    stairs_at = [float(rng.choice([0.06, 0.5, 0.94]))] + ([rng.uniform(0.3, 0.7)] if length > 35 else [])
     if len(stairs_at) == 2 and abs(stairs_at[0] - stairs_at[1]) < 0.3:
         stairs_at[1] = 1.0 - 0.06 if stairs_at[0] < 0.5 else 0.06
     for fraction in stairs_at:
         begin = wall + (length - 2 * wall - stairs.width) * fraction
         high = main_high if one_sided else bool(rng.random() < 0.5)
         reserved.append(_slot("stairs", high, begin, begin + stairs.width))
-    wing_width = float(rng.uniform(1.7, 2.6))
+    wing_width = rng.uniform(1.7, 2.6)
     has_wing, wing_high = length > 16 and rng.random() < 0.5, bool(rng.random() < 0.5)
     wing_begin = wall + (length - 2 * wall - wing_width) * float(rng.choice([0.0, 0.35, 1.0]))
     if has_wing and not any(
@@ -218,7 +218,7 @@ def draw_plan(number: int) -> Plan:
         reserved.append(_slot("wing", wing_high, wing_begin, wing_begin + wing_width))
     fraction_alike = float(rng.choice([0.3, 0.7, 1.0]))
     fraction_open = min(1.0, rng.uniform(0.55, 1.1))
-    module = float(rng.uniform(3.0, 6.5))
+    module = rng.uniform(3.0, 6.5)
     pattern = rng.integers(len(kinds), size=rng.integers(1, 4))
     if rng.random() < 0.5:
         pattern[:] = pattern[0]  # rooms alike all along
@@ -257,7 +257,7 @@ def draw_plan(number: int) -> Plan:
     wings = [slot for slot in reserved if slot.kind == "wing"]
     if wings:
         first = max(depth_high if wing_high else depth_low, stairs.depth) + 3 * wall + 0.4
-        wing_length = first + float(rng.uniform(5.0, 14.0))
+        wing_length = first + rng.uniform(5.0, 14.0)
         slots = [slot for side in (False, True) for slot in fill(first, wing_length - wall, [], True, side)]
         frame = Spot(wings[0].end, width + wall, np.pi / 2) if wing_high else Spot(wings[0].begin, -wall, -np.pi / 2)
         blocks.append(Block(frame, wing_length, wing_width, tuple(slots), open_start=True))

@@ -43,7 +43,6 @@ def unique_things(plan: Plan) -> tuple[Placement, ...]:
 
 
 def _picture(plan: Plan, level: int, which: int, rng: np.random.Generator) -> Placement | None:
-    """A picture somewhere in a corridor or a room."""
     walls = [
         (wall_spot(block, high, end if high else begin + 0.4).within(block.frame), end - begin - 0.4)
         for block in plan.blocks
@@ -55,9 +54,9 @@ def _picture(plan: Plan, level: int, which: int, rng: np.random.Generator) -> Pl
     if not walls:
         return None
     spot, length = walls[int(rng.integers(len(walls)))]
-    width = min(float(rng.uniform(0.5, 1.8)), length - 0.1)
-    height = min(width * float(rng.uniform(0.6, 1.4)), 1.3)
-    x, z = float(rng.uniform(0.05, length - width - 0.05 + 1e-9)), 1.55 - height / 2 + float(rng.uniform(-0.15, 0.15))
+    width = min(rng.uniform(0.5, 1.8), length - 0.1)
+    height = min(width * rng.uniform(0.6, 1.4), 1.3)
+    x, z = rng.uniform(0.05, length - width - 0.05 + 1e-9), 1.55 - height / 2 + rng.uniform(-0.15, 0.15)
     part = Part(cue=True)
     part.box((0, 0, z), (width, 0.025, z + height), plain((0.05, 0.05, 0.05)), "xXzZ")
     art = Material(artwork(1000 * plan.number + which), gloss=0.1, texel_m=0.007)
@@ -79,24 +78,17 @@ def _bare_walls(room: Layout) -> list[tuple[Spot, float]]:
 
 
 def _doorleaf(plan: Plan, level: int, rng: np.random.Generator) -> Placement | None:
-    """A closed door in a colour of its own."""
     doors = plan.slots("door")
     if not doors:
         return None
     block, slot = doors[int(rng.integers(len(doors)))]
     part, half = Part(cue=True), DOOR_WIDTH / 2
-    part.quad(
-        (DOOR_WIDTH, 0.018, 0),
-        (-DOOR_WIDTH, 0, 0),
-        (0, 0, DOOR_HEIGHT),
-        painted_door(colour(rng, 1.0, 0.5)),
-    )
+    part.quad((DOOR_WIDTH, 0.018, 0), (-DOOR_WIDTH, 0, 0), (0, 0, DOOR_HEIGHT), painted_door(colour(rng, 1.0, 0.5)))
     spot = wall_spot(block, slot.high, slot.door + half if slot.high else slot.door - half)
     return place_copies(part, [spot.within(block.frame)], [level], plan)
 
 
 def _signs(plan: Plan, level: int) -> list[Placement]:
-    """The number of the level as bars, on the landing of every stairwell."""
     part = Part(cue=True)
     width = 0.2 + 0.12 * (level + 1)
     sign = Material(level_sign(level, colour(plan.rng(12, level), 1.0, 0.35)), texel_m=0.01)
@@ -108,7 +100,6 @@ def _signs(plan: Plan, level: int) -> list[Placement]:
 
 
 def _entrance(plan: Plan) -> list[Placement]:
-    """On the lowest level: a mat, and a glazed door at the end of the main corridor."""
     block, rng = plan.blocks[0], plan.rng(13)
     part, width, middle = Part(cue=True), min(1.6, block.width - 0.3), block.width / 2
     frame = plain(colour(rng, 0.8, 0.15), gloss=0.3)
@@ -166,7 +157,7 @@ def placements(plan: Plan, visit: Visit) -> list[Placement]:
         replace(texture.lit(visit.tint, 8.0 * visit.lamps), glare=0.3),
         outdoors(plan.rng(6), 7.0 * visit.daylight),
         (1.2, 0.2) if strip else (0.6, 0.6),
-        float(rng.uniform(2.4, 4.5)),
+        rng.uniform(2.4, 4.5),
     )
     placed = []
     for style in sorted(set(plan.styles)):

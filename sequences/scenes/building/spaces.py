@@ -121,13 +121,7 @@ def _room(plan: Plan, room: Layout, look: int, looks: Looks, style: int) -> Part
     add_slab(part, width, depth, clear, palette.ceiling, False)
     begin, end = room.door - DOOR_WIDTH / 2, room.door + DOOR_WIDTH / 2
     add_wall(
-        part,
-        (width, 0),
-        (0, 0),
-        (0, clear),
-        wall,
-        [Hole(width - end, width - begin, 0.0, DOOR_HEIGHT, deep=0.0)],
-        trim,
+        part, (width, 0), (0, 0), (0, clear), wall, [Hole(width - end, width - begin, 0.0, DOOR_HEIGHT, deep=0.0)], trim
     )
     add_wall(part, (0, 0), (0, depth), (0, clear), wall, [], trim)
     panes = [Hole(a, b, low, high, looks.pane) for a, b, low, high in room.windows]
@@ -201,7 +195,6 @@ def _landing_lamp(plan: Plan, looks: Looks) -> Part:
 
 
 def _flights(plan: Plan, looks: Looks, palette: Palette) -> Part:
-    """Two flights and the half landing, with the wall and the window behind it."""
     part, stairs = Part(), plan.stairs
     half, n, g = plan.storey / 2, stairs.risers, stairs.going
     rise, near, far = half / n, stairs.landing, stairs.landing + stairs.run
@@ -233,7 +226,6 @@ def _flights(plan: Plan, looks: Looks, palette: Palette) -> Part:
 
 
 def _balustrades(part: Part, plan: Plan, palette: Palette) -> None:
-    """Rails on the inner side of both flights, with bars or a panel below, and across the half landing."""
     stairs, half = plan.stairs, plan.storey / 2
     near, run = stairs.landing, stairs.run
     far, rise, slope = near + run, half / stairs.risers, half / stairs.risers / stairs.going
@@ -294,7 +286,6 @@ def _low_panel(plan: Plan, palette: Palette) -> Part:
 
 
 def _guard(plan: Plan, palette: Palette) -> Part:
-    """What keeps people from falling where no flight leads further up."""
     part, stairs = Part(cue=True), plan.stairs
     a, b = stairs.up_x
     y = stairs.landing - 0.03

@@ -24,9 +24,9 @@ PERSON_RADIUS = 0.27  # of a circle around a person, metres
 
 def person(rng: np.random.Generator) -> Part:
     """Someone who stands at the origin and looks along y: dressed, with arms, head and hair."""
-    part, k = Part(), float(rng.uniform(0.9, 1.08))
+    part, k = Part(), rng.uniform(0.9, 1.08)
     trousers, shirt = plain(colour(rng, 0.5, 0.12)), plain(colour(rng, 0.9, 0.35), amount=0.1)
-    skin_tone = float(rng.uniform(0.25, 1.0))
+    skin_tone = rng.uniform(0.25, 1.0)
     skin = plain((0.5 * skin_tone, 0.32 * skin_tone, 0.24 * skin_tone))
     hair = plain(colour(rng, 0.5, 0.07))
     for x in (-0.09, 0.09):
@@ -56,7 +56,7 @@ def draw_people(plan: Plan, rng: np.random.Generator) -> tuple[tuple[int, Spot, 
     for _ in range(int(rng.integers(1, 3 + 2 * plan.levels))):
         for _ in range(30):
             level, (block, slot) = int(rng.integers(plan.levels)), places[int(rng.integers(len(places)))]
-            fraction, heading, who = rng.random(2), float(rng.uniform(-np.pi, np.pi)), int(rng.integers(1 << 30))
+            fraction, heading, who = rng.random(2), rng.uniform(-np.pi, np.pi), int(rng.integers(1 << 30))
             if slot is None:
                 frame, size, boxes = block.frame, np.array([block.length, block.width]), np.empty((0, 5))
             else:
@@ -80,7 +80,6 @@ def draw_people(plan: Plan, rng: np.random.Generator) -> tuple[tuple[int, Spot, 
 
 @cache
 def _all_ways(plan: Plan) -> np.ndarray:
-    """Points (n, 3) every 10 cm of all ways."""
     net = ways(plan)
     lines = [station.visit for station in net.tour]
     nodes = np.stack([net.before, np.broadcast_to(np.arange(len(net.points)), net.before.shape)], axis=-1)
@@ -115,11 +114,11 @@ class Visit:
 def draw_visit(plan: Plan, split: str, seed: int) -> Visit:
     """Light and people of one walk: by day and alone on training walks, at any hour and among people on others."""
     rng = plan.rng(16, SPLITS[split], seed)
-    colour = (1.0, float(rng.uniform(0.85, 1.0)), float(rng.uniform(0.7, 1.0)))
+    colour = (1.0, rng.uniform(0.85, 1.0), rng.uniform(0.7, 1.0))
     if split == "train":
-        return Visit(float(rng.uniform(0.8, 1.2)), float(rng.uniform(0.5, 1.1)), colour)
+        return Visit(rng.uniform(0.8, 1.2), rng.uniform(0.5, 1.1), colour)
     hour = float(rng.choice([0.02, 0.25, 0.8, 1.6]))  # night, dusk, overcast, sun
-    return Visit(float(rng.uniform(0.5, 1.3)), hour * float(rng.uniform(0.8, 1.25)), colour, draw_people(plan, rng))
+    return Visit(rng.uniform(0.5, 1.3), hour * rng.uniform(0.8, 1.25), colour, draw_people(plan, rng))
 
 
 TRAINING_WALKS = 5
@@ -134,7 +133,7 @@ def draw_line(
     plan: Plan, visit: Visit, length_m: float, training: bool, seed: int, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
     """A line (n, 3) with points every 2 cm that is at least so long, and how far one can come off it (n,)."""
-    net, skipped = ways(plan), float(rng.uniform(0.0, 4.0))
+    net, skipped = ways(plan), rng.uniform(0.0, 4.0)
     corners, free, walked = [], [], 0.0
     before: int | None = None
     for station in _stations(net, training, seed, rng):
@@ -216,7 +215,7 @@ def walk_building(
     manner = plan.rng(14)  # wheels roll, legs sway
     sway, tilt = float(manner.uniform(0.0, 0.02)), float(manner.uniform(0.002, 0.02))
     pace = float(rng.uniform(0.45, 1.0) if training else rng.uniform(0.4, 1.05))
-    quickest = float(rng.uniform(0.9, 1.7))  # turn, rad/s
+    quickest = rng.uniform(0.9, 1.7)  # turn, rad/s
     line, freedom = draw_line(plan, visit, 1.15 * pace * duration_s + 3.0, training, seed, rng)
     heading, fastest = _headings(line)
     wanted = pace * np.clip(1 + 0.08 * wander(steps, 5.0, rng), 0.85, 1.15)

@@ -71,8 +71,6 @@ class Ways:
 
 
 class _Net:
-    """Nodes and the straight ways between them, under construction."""
-
     def __init__(self) -> None:
         self.points: list[np.ndarray] = []
         self.freedom: list[float] = []
@@ -91,8 +89,6 @@ class _Net:
 
 @dataclass
 class _Axis:
-    """The middle line of a corridor, along x of its frame, and the nodes on it by x; metres."""
-
     net: _Net
     frame: Spot
     y: float
