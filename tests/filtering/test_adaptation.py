@@ -8,8 +8,7 @@ import pytest
 from filtering.adaptation import ErrorScale
 from filtering.localizer import ParticleLocalizer
 from filtering.se3 import Poses
-from tests.helpers.modelled_walk import ERRORS
-from tests.helpers.scaled_errors import AHEAD, APART, observed, scale_along, shifted, simulated, understated
+from tests.helpers.modelled_walk import AHEAD, APART, ERRORS, observed, scale_along, shifted, simulated, understated
 from tests.helpers.simulation import lifted, motion, seen_at
 
 pytestmark = pytest.mark.usefixtures("unchecked")

@@ -7,8 +7,7 @@ import pytest
 
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
-from tests.helpers.localizer_walks import AHEAD, assert_same_belief, new_localizer, walk
-from tests.helpers.simulation import ERRORS, seen_at
+from tests.helpers.simulation import AHEAD, ERRORS, assert_same_belief, new_localizer, seen_at, walk
 
 COVARIANCE = np.diag([0.25, 0.25, 0.04, 0.01, 0.01, 0.07])
 

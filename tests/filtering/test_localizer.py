@@ -9,8 +9,21 @@ from filtering.localizer import ParticleLocalizer
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
-from tests.helpers.localizer_walks import AHEAD, FOREIGN, RNG, assert_same_belief, new_localizer, walk, weight_near
-from tests.helpers.simulation import FLOOR_HEIGHT_M, Oracle, climb, image_of, lifted, seen_at
+from tests.helpers.simulation import (
+    AHEAD,
+    FLOOR_HEIGHT_M,
+    FOREIGN,
+    RNG,
+    Oracle,
+    assert_same_belief,
+    climb,
+    image_of,
+    lifted,
+    new_localizer,
+    seen_at,
+    walk,
+    weight_near,
+)
 
 FLOORS = (-2, -1, 0, 1, 2)
 

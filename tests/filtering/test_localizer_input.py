@@ -8,8 +8,7 @@ from filtering.errors import VaporTrackError
 from filtering.localizer import ParticleLocalizer
 from filtering.motion import Odometry
 from filtering.se3 import Poses
-from tests.helpers.localizer_walks import new_localizer
-from tests.helpers.simulation import image_of, seen_at
+from tests.helpers.simulation import image_of, new_localizer, seen_at
 
 # --- settings -------------------------------------------------------------------------------------
 

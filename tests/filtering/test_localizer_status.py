@@ -4,8 +4,18 @@ import numpy as np
 import pytest
 
 from filtering.se3 import Poses
-from tests.helpers.localizer_walks import AHEAD, STAY, new_localizer, walk, weight_near
-from tests.helpers.simulation import ERRORS, ODOMETRY_STD, lifted, motion, seen_at
+from tests.helpers.simulation import (
+    AHEAD,
+    ERRORS,
+    ODOMETRY_STD,
+    STAY,
+    lifted,
+    motion,
+    new_localizer,
+    seen_at,
+    walk,
+    weight_near,
+)
 
 
 @pytest.mark.usefixtures("unchecked")

@@ -6,8 +6,7 @@ import pytest
 from filtering.localizer import ParticleLocalizer
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
-from tests.helpers.localizer_walks import AHEAD, RNG, STAY, assert_same_belief, new_localizer, walk
-from tests.helpers.simulation import image_of, seen_at
+from tests.helpers.simulation import AHEAD, RNG, STAY, assert_same_belief, image_of, new_localizer, seen_at, walk
 
 
 @pytest.mark.parametrize("nothing", [PosePosterior.nothing(), seen_at(Poses.identity(1), unfamiliarity=1.5)])

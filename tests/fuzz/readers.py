@@ -31,7 +31,7 @@ from tests.fuzz.model_files import (
     read_exported,
 )
 from tests.fuzz.reading import NUM_IMAGES, Content, Reader, Reading, of_frames, require
-from tests.helpers import data_sets, foxglove_files, phone_data_sets, pose_table_files, pose_text, tf_files
+from tests.helpers import data_sets, dot_scene, foxglove_files, pose_files, tf_files
 from tests.helpers.sequence_files import (
     BEGIN_NS,
     CAMERA,
@@ -158,7 +158,7 @@ def _with_points(path: Path) -> Reading:
 
 def _points(folder: Path, suffix: str) -> Path:
     if suffix == ".bin":
-        root = phone_data_sets.make_colmap_binary(folder / "scene")
+        root = dot_scene.make_colmap_binary(folder / "scene")
         point = struct.pack("<Q3d3BdQ", 12, 1.0, 2.0, 3.0, 1, 2, 3, 0.5, 1) + struct.pack("<ii", 4, 5)
         (root / "sparse" / "0" / "points3D.bin").write_bytes(struct.pack("<Q", 1) + point)
         return root
@@ -174,8 +174,8 @@ def _with_intrinsics(folder: Path) -> Path:
 
 
 def _r3d(folder: Path) -> Path:
-    members = {"metadata": json.dumps(phone_data_sets.r3d_metadata()).encode()}
-    members |= {f"rgbd/{i}.jpg": data for i, data in enumerate(phone_data_sets.r3d_images())}
+    members = {"metadata": json.dumps(dot_scene.r3d_metadata()).encode()}
+    members |= {f"rgbd/{i}.jpg": data for i, data in enumerate(dot_scene.r3d_images())}
     (folder / "walk.r3d").write_bytes(zipped(members))
     return folder / "walk.r3d"
 
@@ -194,11 +194,11 @@ def _tum(folder: Path) -> Path:
 
 
 def _euroc_table(folder: Path) -> Path:
-    return pose_table_files.as_euroc(folder)
+    return pose_files.as_euroc(folder)
 
 
 def _kitti_table(folder: Path) -> Path:
-    return pose_table_files.as_kitti(folder)
+    return pose_files.as_kitti(folder)
 
 
 _WEIGHTED = "name qw qx qy qz tx ty tz weight"
@@ -209,9 +209,9 @@ def _estimates(folder: Path, *, named: bool, weighted: bool = False) -> Path:
         write_tum(folder / "odometry.txt", _track())
         write_tum(folder / "estimates.txt", _track())
         return folder
-    poses = {name: pose for name, pose in pose_text.walk().items() if int(name[-16:-10]) < 10}
+    poses = {name: pose for name, pose in pose_files.walk().items() if int(name[-16:-10]) < 10}
     for name in ("estimates.txt", "odometry.txt"):
-        pose_text.write_named(folder / name, poses, world_to_camera=False)
+        pose_files.write_named(folder / name, poses, world_to_camera=False)
     if weighted:  # two hypotheses a frame
         path = folder / "estimates.txt"
         lines = [line.rsplit(maxsplit=1)[0] for line in path.read_text().splitlines()]
@@ -284,17 +284,17 @@ READERS: Mapping[str, Reader] = MappingProxyType(
         "ceiling": _layout(lambda folder: data_sets.make_ceiling(folder / "scene") / "train"),
         "cambridge": _layout(lambda folder: data_sets.make_cambridge(folder / "scene") / "dataset_train.txt"),
         "colmap": _layout(lambda folder: data_sets.make_colmap(folder / "scene", "sparse/0", "images")),
-        "colmap-binary": _layout(lambda folder: phone_data_sets.make_colmap_binary(folder / "scene")),
+        "colmap-binary": _layout(lambda folder: dot_scene.make_colmap_binary(folder / "scene")),
         "colmap-points": Reader(partial(_points, suffix=".txt"), _with_points, counts_images=True),
         "colmap-points-binary": Reader(partial(_points, suffix=".bin"), _with_points, counts_images=True),
-        "euroc": _layout(lambda folder: phone_data_sets.make_euroc(folder / "MH_01", distorted=True)),
-        "stray-scanner": _layout(lambda folder: phone_data_sets.make_stray(folder / "scan")),
-        "stray-scanner-images": _layout(lambda folder: phone_data_sets.make_stray(folder / "scan", video=False)),
+        "euroc": _layout(lambda folder: dot_scene.make_euroc(folder / "MH_01", distorted=True)),
+        "stray-scanner": _layout(lambda folder: dot_scene.make_stray(folder / "scan")),
+        "stray-scanner-images": _layout(lambda folder: dot_scene.make_stray(folder / "scan", video=False)),
         "record3d": _layout(_r3d),
         "record3d-export": _layout(
-            lambda folder: phone_data_sets.make_record3d_export(folder / "scan", phone_data_sets.r3d_metadata())
+            lambda folder: dot_scene.make_record3d_export(folder / "scan", dot_scene.r3d_metadata())
         ),
-        "nerfstudio": _layout(lambda folder: phone_data_sets.make_nerfstudio(folder / "scene")),
+        "nerfstudio": _layout(lambda folder: dot_scene.make_nerfstudio(folder / "scene")),
         "tum": Reader(_tum, lambda path: _of_trajectory(read_tum(path))),
         "euroc-table": Reader(_euroc_table, lambda path: _of_trajectory(read_pose_table(path))),
         "kitti-table": Reader(_kitti_table, lambda path: _of_trajectory(read_pose_table(path))),

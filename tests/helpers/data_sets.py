@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from filtering.se3 import Poses
+from sequences.datasets.frames import posed_frames
 from sequences.frame import Trajectory
 from sequences.trajectories.tum import format_time, write_tum
 from tests.helpers.sequence_files import BEGIN_NS, world_from_camera
@@ -148,3 +149,16 @@ def make_colmap(root: Path, model: str, images: str) -> Path:
         rows += [colmap_row(index + 5, true_pose(index), camera, COLMAP_NAMES[index]), points]
     (root / model / "images.txt").write_text("\n".join(rows) + "\n")
     return root
+
+
+THIRTIETH_NS = 1_000_000_000 / 30
+
+
+def check(path: Path, indices: list[int], times_ns: list[float] | None = None) -> None:
+    """What is seen in the frames, their poses and their stamps."""
+    frames = list(posed_frames(path))
+    assert [int(frame.image[0, 0, 0]) // 10 for frame in frames] == indices
+    for index, frame in zip(indices, frames, strict=True):
+        assert same(frame.world_from_camera, true_pose(index), 1e-6)
+    if times_ns is not None:
+        np.testing.assert_allclose([frame.time_ns for frame in frames], times_ns, atol=1)

@@ -1,15 +1,18 @@
-"""Recordings of the walk of `sequence_files` by a robot, whose poses are in tf, in odometry, in a path or elsewhere."""
+"""Recordings of the walk of `sequence_files` by a robot, with poses in tf, odometry, a path or elsewhere."""
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
 from mcap_ros2.writer import Writer
 
 from filtering.se3 import Poses
-from sequences.frame import Camera
-from sequences.recordings.message_definitions import schema_name, schema_text
+from sequences.datasets.frames import posed_frames
+from sequences.frame import Camera, Frame
+from sequences.options import SequenceOptions
+from sequences.recordings.message_definitions import DEFINITIONS, schema_name, schema_text
 from tests.helpers.sequence_files import BASE_FROM_CAMERA, BEGIN_NS, Walk, world_from_base
 
 MS = 1_000_000
@@ -136,3 +139,60 @@ def robot(path: Path, *, jump_ns: int | None = None, extra: list[Event] | None =
         tf("odom", "base_link", stamps(), lambda t: MAP_FROM_ODOM.inverse() @ body(t)),
         extra or [],
     )
+
+
+TYPES = ["nav_msgs/Odometry", "geometry_msgs/TransformStamped"]
+
+TYPES_OF_UNSAID = ["geometry_msgs/PoseStamped", "geometry_msgs/PoseWithCovarianceStamped", "nav_msgs/Path"]
+
+
+def require_true(frames: list[Frame], tolerance_m: float = 1e-3) -> None:
+    """All twelve frames have the walk's true pose: interpolated over 20 ms, which costs half a millimetre at most."""
+    assert len(frames) == 12
+    for frame in frames:
+        assert frame.world_from_camera is not None
+        expected = body(frame.time_ns) @ BASE_FROM_CAMERA
+        metres, radians = frame.world_from_camera.distance(expected)
+        assert metres < tolerance_m
+        assert radians < 1e-3
+
+
+def read(path: Path, **options: object) -> list[Frame]:
+    return list(posed_frames(path, options=SequenceOptions(**options)))  # pyright: ignore[reportArgumentType]
+
+
+def image_message(pixels: np.ndarray, encoding: str, *, padding: int = 0, big_endian: bool = False) -> SimpleNamespace:
+    """A sensor_msgs/Image whose rows end in `padding` bytes of rubbish."""
+    rows = pixels.astype(pixels.dtype.newbyteorder(">" if big_endian else "<"), copy=False)
+    rows = np.frombuffer(np.ascontiguousarray(rows).tobytes(), np.uint8).reshape(len(pixels), -1)
+    rows = np.concatenate([rows, np.full((len(rows), padding), 123, np.uint8)], axis=1)
+    return SimpleNamespace(
+        height=pixels.shape[0],
+        width=pixels.shape[1],
+        encoding=encoding,
+        is_bigendian=int(big_endian),
+        step=rows.shape[1],
+        data=rows.tobytes(),
+    )
+
+
+_BELOW = {"bool": 2, "byte": 200, "uint8": 200, "int32": 2**31, "uint32": 2**32, "uint64": 2**63}
+
+
+def made_up(message_type: str, rng: np.random.Generator) -> dict[str, Any]:
+    """A message of a type, with texts of up to ten bytes and lists of up to three."""
+
+    def one(kind: str) -> Any:
+        if "/" in kind:
+            return made_up(kind, rng)
+        if kind == "string":
+            return "ü" * int(rng.integers(2)) + "x" * int(rng.integers(9))
+        return int(rng.integers(_BELOW[kind])) if kind in _BELOW else float(np.float32(rng.normal()))
+
+    message: dict[str, Any] = {}
+    for line in DEFINITIONS[message_type].splitlines():
+        kind, name = line.split()
+        base, _, length = kind.removesuffix("]").partition("[")
+        many = [one(base) for _ in range(int(length or rng.integers(4)))]
+        message[name] = one(base) if base == kind else bytes(many) if base == "uint8" else many
+    return message

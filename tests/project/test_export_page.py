@@ -15,7 +15,7 @@ import pytest
 
 from sequences.frame import Camera
 from tests.helpers.checkout import CHECKOUT
-from tests.helpers.engines import CONFIG, any_checkpoint
+from tests.helpers.checkpoints import CONFIG, any_checkpoint
 from vapor.cameras import AsTakenBy
 from vapor.engines.onnx_export import export_onnx
 from vapor.images import prepare

@@ -1,4 +1,4 @@
-"""The furniture of a building, and which of it a room gets. Every piece has its back to the wall y = 0 and begins at x = 0."""
+"""The furniture of a building, and what a room gets. Each piece has its back to the wall y = 0 and begins at x = 0."""
 
 from __future__ import annotations
 

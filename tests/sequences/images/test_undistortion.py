@@ -19,8 +19,8 @@ from sequences.reading.camera_info import ImageCamera
 from sequences.recordings.bag import Bag
 from sequences.recordings.message_definitions import decoder, schema_name, schema_text
 from sequences.writer import SequenceWriter
-from tests.helpers.lens_images import taken_by
 from tests.helpers.sequence_files import BASE_FROM_CAMERA, BEGIN_NS, Walk, rewrite, world_from_camera
+from tests.helpers.views import taken_by
 
 CAMERA = Camera(160, 120, 110.0, 108.0, 77.0, 62.0)
 LENSES = {

@@ -15,7 +15,7 @@ from sequences.recordings.bag import Bag
 from sequences.recordings.message_definitions import decoder
 from sequences.recordings.messages import odometry_from_message
 from sequences.trajectories.increments import odometry_between
-from tests.helpers.other_recordings import close
+from tests.helpers.sequence_files import close
 
 
 @pytest.mark.parametrize("name", ["nav2_turtlebot.mcap", "talker.mcap", "only_topics.mcap"])

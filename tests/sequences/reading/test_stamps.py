@@ -12,12 +12,15 @@ from sequences.errors import SequenceError
 from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
 from sequences.reading.counts import IN_GAP, OUTSIDE
-from tests.helpers.other_recordings import MS, close, relogged, stamped
 from tests.helpers.sequence_files import (
     BEGIN_NS,
     IMAGES,
+    MS,
     Walk,
+    close,
+    relogged,
     rewrite,
+    stamped,
     world_from_camera,
 )
 

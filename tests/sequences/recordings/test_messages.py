@@ -22,7 +22,7 @@ from sequences.recordings.messages import (
     odometry_from_message,
     pose_from_message,
 )
-from tests.helpers.image_messages import image_message
+from tests.helpers.tf_files import image_message
 
 RGB = np.random.default_rng(0).integers(0, 256, (6, 8, 3), dtype=np.uint8)
 GREY = np.repeat(RGB[..., :1], 3, axis=2)

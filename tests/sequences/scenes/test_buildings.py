@@ -10,7 +10,7 @@ from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.frame import Camera
 from sequences.reader import SequenceReader
-from sequences.rendering import surface
+from sequences.rendering import render as rendering
 from sequences.rendering.light import Sampling
 from sequences.rendering.mesh import Tracer, assemble
 from sequences.rendering.render import LitScene, render, sees_cue
@@ -31,9 +31,9 @@ SMALL = "building-2"  # two floors, one room
 @pytest.fixture(autouse=True, scope="module")
 def rough() -> Iterator[None]:
     """Paint and light that are computed in a moment."""
-    texels = surface.chart_sizes
+    texels = rendering.chart_sizes
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(surface, "chart_sizes", lambda geometry: np.maximum(1, texels(geometry) // 4))
+        patch.setattr(rendering, "chart_sizes", lambda geometry: np.maximum(1, texels(geometry) // 4))
         patch.setattr(building, "SAMPLING", Sampling(grid_m=0.5, shadow_rays=1, bounce_rays=4, reach_m=5.0))
         find_scene.cache_clear()
         yield

@@ -15,7 +15,7 @@ from sequences.scenes.corridor import walk_corridor
 from sequences.scenes.staircase import walk_stairs
 from sequences.scenes.tables import circle_table
 from sequences.synthesize import synthesize
-from tests.helpers.rendered_depth import depth_and_quads
+from tests.helpers.views import depth_and_quads
 
 CAMERA = Camera(96, 72, 60.0, 60.0, 47.5, 35.5)
 

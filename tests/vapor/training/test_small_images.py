@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from tests.helpers.short_training import train_on_most
-from tests.helpers.tiny_training import TINY, make_frames
+from tests.helpers.tiny_training import TINY, make_frames, train_on_most
 from vapor.training import batches
 from vapor.training.presets import PRESETS
 from vapor.training.schedule import first_epoch_of_size, image_size, step_cost

@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tests.helpers.climbing_frames import frames_of
+from tests.helpers.simulation import frames_of
 from vapor.training_data.load import load_training_set
 from vapor.training_data.passes import odometry_segments, pass_numbers, some_runs
 
