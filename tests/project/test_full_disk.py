@@ -22,7 +22,7 @@ from tests.helpers.tiny_model import SMALL, write_tiny_model
 
 MORE = {
     "synthesize": Call(
-        ("synthesize", "ceiling", "out/result.mcap", "--frames", "6", "--width", "32", "--height", "24"),
+        ("synthesize", "ceiling", "out/result.mcap", "--frames", "6", "--width", "32", "--height", "24")
     ),
     "posterior": Call(
         ("posterior", "walk.mcap", "--model", "tiny.safetensors", "--output", "out/result.png", *SMALL[:4])
