@@ -77,38 +77,32 @@ def write_images(folder: Path, names: dict[int, str]) -> None:
         write_image(folder / name, index)
 
 
-def make_ambiguous(scene: Path) -> Path:
+def _make_split(
+    scene: Path, separator: str, order: str, images: str, name: str, poses: str, sequence_name: str
+) -> Path:
     """Two sequences to train with, frames 3, 4 and 17, then 0 and 1, and one to test with; rows in any order."""
     for split, sequence, frames in (
         ("train", 0, {0: 3, 1: 4, 2: 17}),
         ("train", 10, {3: 0, 4: 1}),
         ("test", 1, {5: 0}),
     ):
-        folder = scene / split / f"seq{sequence:02d}"
-        write_images(folder / "rgb_matched", {i: f"frame-color-{frame:04d}.png" for i, frame in frames.items()})
+        folder = scene / split / sequence_name.format(sequence)
+        write_images(folder / images, {i: name.format(frame) for i, frame in frames.items()})
         rows = [
-            ", ".join([str(sequence), str(frame), *pose_numbers(true_pose(i), "qw qx qy qz tx ty tz")])
+            separator.join([str(sequence), str(frame), *pose_numbers(true_pose(i), order)])
             for i, frame in frames.items()
         ]
-        (folder / f"poses_{folder.name}.txt").write_text("\n".join(reversed(rows)) + "\n")
+        (folder / poses.format(folder.name)).write_text("\n".join(reversed(rows)) + "\n")
     return scene
+
+
+def make_ambiguous(scene: Path) -> Path:
+    columns = "qw qx qy qz tx ty tz"
+    return _make_split(scene, ", ", columns, "rgb_matched", "frame-color-{:04d}.png", "poses_{}.txt", "seq{:02d}")
 
 
 def make_ceiling(scene: Path) -> Path:
-    """The same with the Ceiling's names, columns and blanks."""
-    for split, sequence, frames in (
-        ("train", 0, {0: 3, 1: 4, 2: 17}),
-        ("train", 10, {3: 0, 4: 1}),
-        ("test", 1, {5: 0}),
-    ):
-        folder = scene / split / str(sequence)
-        write_images(folder / "images", {i: f"{frame:06d}.jpg" for i, frame in frames.items()})
-        rows = [
-            " ".join([str(sequence), str(frame), *pose_numbers(true_pose(i), "tx ty tz qw qx qy qz")])
-            for i, frame in frames.items()
-        ]
-        (folder / "poses.txt").write_text("\n".join(reversed(rows)) + "\n")
-    return scene
+    return _make_split(scene, " ", "tx ty tz qw qx qy qz", "images", "{:06d}.jpg", "poses.txt", "{}")
 
 
 HEADER = "Visual Landmark Dataset V1\nImageFile, Camera Position [X Y Z W P Q R]\n\n"

@@ -88,20 +88,12 @@ class Heard:
     """What a node heard, and when it sent what."""
 
     def __init__(self, script: Mapping[str, Any], result: Mapping[str, Any]) -> None:
-        self._publish, self._sent = script["publish"], result["sent"]
         types = script["listen"]
         self.messages = [Message(topic, at_s, decoder(types[topic])(data)) for topic, at_s, data in result["heard"]]
 
     def on(self, topic: str) -> list[Message]:
         """Messages of one topic."""
         return [message for message in self.messages if message.topic == topic]
-
-    def sent_s(self, topic: str) -> dict[int, float]:
-        """When messages of a topic with headers were sent, by their stamps."""
-        sent = [(self._publish[index], at_s) for index, at_s in self._sent]
-        return {
-            stamp(decoder(each["type"])(each["data"]).header): at_s for each, at_s in sent if each["topic"] == topic
-        }
 
 
 def stamp(header: SimpleNamespace) -> int:

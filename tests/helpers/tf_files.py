@@ -30,7 +30,10 @@ class Event(NamedTuple):
 
 def record(path: Path, *parts: Iterable[Event]) -> Path:
     """Write messages in order of time."""
-    events = sorted((event for part in parts for event in part), key=lambda event: event.time_ns)
+    return write_events(path, sorted((event for part in parts for event in part), key=lambda event: event.time_ns))
+
+
+def write_events(path: Path, events: Iterable[Event]) -> Path:
     with open(path, "wb") as file, Writer(file, chunk_size=20_000) as writer:
         schemas: dict[str, Any] = {}
         for event in events:
@@ -97,15 +100,8 @@ def body(time_ns: int) -> Poses:
 
 
 def odometry(times_ns: Iterable[int]) -> list[Event]:
-    return [
-        Event(
-            t,
-            "/odom",
-            "nav_msgs/Odometry",
-            {"header": header(t, "odom"), "child_frame_id": "base_link", "pose": {"pose": pose(body(t))}},
-        )
-        for t in times_ns
-    ]
+    parts = [(t, {"header": header(t, "odom"), "pose": {"pose": pose(body(t))}}) for t in times_ns]
+    return [Event(t, "/odom", "nav_msgs/Odometry", {**part, "child_frame_id": "base_link"}) for t, part in parts]
 
 
 def told_by(message_type: str, times_ns: Iterable[int], topic: str = "/truth", child: str = "base_link") -> list[Event]:
