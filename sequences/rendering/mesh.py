@@ -26,7 +26,7 @@ class Part:
     what makes two floors, or two ceiling panels, machine-made copies of each other.
 
     Attributes:
-        cue: Whether this part is one of the few things that tell places apart.
+        cue: Whether this part distinguishes places.
     """
 
     cue: bool = False

@@ -49,9 +49,9 @@ def build_scene(placements: Sequence[Placement], *, seed: int, sampling: Samplin
     """A scene whose charts are painted and lit when its colours are first asked for.
 
     Args:
-        placements: What stands in the scene.
+        placements: The parts of the scene.
         seed: Of stains, grain and light samples.
-        sampling: How closely light is looked at; None for as usual.
+        sampling: Of light; None for the defaults.
     """
     geometry = assemble(placements)
     tracer = Tracer(geometry)

@@ -1,4 +1,9 @@
-"""x"""
+"""Two floors alike, each a long corridor with a frame and two doors every 3 m, and a lamp every 5 m.
+
+All of this repeats after 15 m, with the colours of the doors. The place along the corridor shows in the colour of the
+walls, which changes slowly, in dirt and in notice boards, all the same on both floors. One end has a window, the other
+a door. The floor shows at the ends alone, on painted walls.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +19,7 @@ from sequences.rendering.texture import Canvas, Material, band, blend, inside, p
 from sequences.scenes.scene import HELMET, Scene
 
 DISTINCT = 1.0
-"""How much the colour of the walls changes along the corridor, and how dirty they are; 0 leaves boards and ends."""
+"""Strength of colour changes along the walls, and of dirt; at 0 boards and ends alone differ."""
 LENGTH, WIDTH, HEIGHT = 75.0, 2.4, 2.6  # metres, x, y, z
 NUM_FLOORS, FLOOR_HEIGHT = 2, 3.2
 BAY, LAMP_SPACING = 3.0, 5.0  # from frame to frame, from lamp to lamp
@@ -38,7 +43,7 @@ BOARDS = (  # bay, whether in the wall at high y, colour
 
 
 def _tint(x: np.ndarray, high_y: bool) -> np.ndarray:
-    """How the colour of a wall changes along it: a factor (..., 3) for places x in metres."""
+    """The colour of a wall at places x in metres, as a factor (..., 3)."""
     phase = np.random.default_rng([5, high_y]).uniform(0, 2 * np.pi, (3, 2))
     waves = [0.7 * np.sin(2 * np.pi * x / 53.0 + a) + 0.5 * np.sin(2 * np.pi * x / 19.0 + b) for a, b in phase]
     return np.exp(0.55 * DISTINCT * np.stack(waves, axis=-1)).astype(np.float32)

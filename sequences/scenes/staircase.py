@@ -127,7 +127,6 @@ def _entrance() -> Part:
 
 
 def _cellar() -> Part:
-    """What closes the space under the first flights."""
     part = Part()
     part.quad((LANDING, INNER_B + 0.02, 0), (FLIGHT, 0, -HALF), (0, 0, FLOOR_HEIGHT - SLAB), WHITE)
     part.quad((LANDING, 0, 0), (FAR - LANDING, 0, 0), (0, ACROSS, 0), TERRAZZO)
@@ -142,7 +141,6 @@ def _poster() -> Part:
 
 
 def _top() -> Part:
-    """Instead of the next flight: a wall with a ladder, a roof with a skylight."""
     part = Part(cue=True)
     bricks = Material(_brick)
     part.box((LANDING, 0, -0.25), (LANDING + 0.09, WIDTH + 0.08, TOP_HEIGHT), bricks)
@@ -223,7 +221,7 @@ def walk_stairs(duration_s: float, *, rng: np.random.Generator) -> Poses:
 
 
 def _stair_line() -> tuple[Float64[np.ndarray, "n 4"], float]:
-    """Where a person's feet go, from the entrance to the top: x, y, z and the distance walked; and its length."""
+    """The line of a person's feet, from the entrance to the top: x, y, z and the distance walked; and its length."""
     low_y, high_y = WIDTH / 2, ACROSS - WIDTH / 2
     radius, middle = (high_y - low_y) / 2, ACROSS / 2
     near, far = LANDING, LANDING + FLIGHT

@@ -163,7 +163,7 @@ def _window(part: Part) -> None:
 
 
 def undersides() -> Part:
-    """What closes the balustrades' strings and the soffits of a floor where one looks up at them."""
+    """Undersides of the balustrades' strings and of the flights."""
     part = Part()
     rise = FLIGHT * SLOPE
     part.quad((LANDING + FLIGHT, 0, rise - 0.16), (0, WIDTH, 0), (0, 0, HALF - SLAB - rise + 0.16), WHITE)

@@ -72,22 +72,22 @@ def damaged_text(data: bytes, rng: Rng) -> tuple[bytes, str]:
         found = pick(rng, words)
         word = pick(rng, WORDS) if kind < 5 else damaged_word(found[0], rng)
         changed = text[: found.start()] + word + text[found.end() :]
-        said = f"{short(found[0])} became {short(word)}"
+        note = f"{short(found[0])} became {short(word)}"
     elif kind < 9 and (lines := text.splitlines(keepends=True)):
         i, j = int(rng.integers(len(lines))), int(rng.integers(len(lines)))
-        line, said = lines[i], f"lines {i + 1} and {j + 1} exchanged"
+        line, note = lines[i], f"lines {i + 1} and {j + 1} exchanged"
         if kind == 6:
-            said = f"line {i + 1} left out"
+            note = f"line {i + 1} left out"
             del lines[i]
         elif kind == 7:
-            said = f"line {i + 1} again as line {j + 1}"
+            note = f"line {i + 1} again as line {j + 1}"
             lines.insert(j, line)
         else:
             lines[i], lines[j] = lines[j], line
         changed = "".join(lines)
     else:
         return damaged_bytes(data, rng)
-    return changed.encode("utf-8", "surrogatepass" if "\ud800" in changed else "surrogateescape"), said
+    return changed.encode("utf-8", "surrogatepass" if "\ud800" in changed else "surrogateescape"), note
 
 
 def damaged_word(word: str, rng: Rng) -> str:
@@ -107,24 +107,24 @@ def damaged_json(data: bytes, rng: Rng) -> tuple[bytes, str]:
         return damaged_text(data, rng)
     holder, key = pick(rng, holders)
     before, kind, raw = holder[key], int(rng.integers(8)), None
-    said = f"{key!r} left out"
+    note = f"{key!r} left out"
     if kind == 0:
         del holder[key]
     elif kind == 1:
         holder[key] = pick(rng, holders)[0]
         if holder[key] is holder or any(each is holder or each[k] is holder for each, k in _holders(holder[key])):
             holder[key] = [before]
-        said = f"{key!r} became another part of the document"
+        note = f"{key!r} became another part of the document"
     elif kind == 2 and isinstance(before, list):
         holder[key] = before + before if rng.random() < 0.5 else before[: int(rng.integers(len(before) + 1))]
-        said = f"{key!r} with {len(holder[key])} items for {len(before)}"
+        note = f"{key!r} with {len(holder[key])} items for {len(before)}"
     else:
         raw = pick(rng, _JSON_VALUES)
         if kind < 5 and isinstance(before, int | float) and not isinstance(before, bool):
             raw = json.dumps(pick(rng, (before * 1000, before / 1000, -before, before + 1, before * 10.0**300)))
-        holder[key], said = "\0here\0", f"{key!r} became {short(raw)}"
+        holder[key], note = "\0here\0", f"{key!r} became {short(raw)}"
     text = json.dumps(document)
-    return (text if raw is None else text.replace(json.dumps("\0here\0"), raw)).encode(), said
+    return (text if raw is None else text.replace(json.dumps("\0here\0"), raw)).encode(), note
 
 
 _JSON_VALUES = (
@@ -150,11 +150,11 @@ def damaged_png(data: bytes, rng: Rng) -> tuple[bytes, str]:
     header = bytearray(data[12:29])
     if rng.random() < 0.7:
         header[at - 12 : at - 8] = value.to_bytes(4, "big")
-        said = f"PNG of {'width' if at == 16 else 'height'} {value}"
+        note = f"PNG of {'width' if at == 16 else 'height'} {value}"
     else:
         header[12:15] = bytes(int(rng.choice([0, 1, 2, 3, 4, 6, 8, 16, 255])) for _ in range(3))
-        said = f"PNG of depth, colours and compression {tuple(header[12:15])}"
-    return data[:12] + bytes(header) + zlib.crc32(header).to_bytes(4, "big") + data[33:], said
+        note = f"PNG of depth, colours and compression {tuple(header[12:15])}"
+    return data[:12] + bytes(header) + zlib.crc32(header).to_bytes(4, "big") + data[33:], note
 
 
 def damaged_zip(data: bytes, rng: Rng) -> tuple[bytes, str]:
@@ -166,8 +166,8 @@ def damaged_zip(data: bytes, rng: Rng) -> tuple[bytes, str]:
     name = pick(rng, [*members])
     if rng.random() < 0.6:
         name = next((each for each in members if "metadata" in each), name)
-    members[name], said = damage_of(f"{name}.json" if "metadata" in name else name)(members[name], rng)
-    return zipped(members), f"{name}: {said}"
+    members[name], note = damage_of(f"{name}.json" if "metadata" in name else name)(members[name], rng)
+    return zipped(members), f"{name}: {note}"
 
 
 def zipped(members: dict[str, bytes]) -> bytes:
@@ -181,10 +181,10 @@ def zipped(members: dict[str, bytes]) -> bytes:
 
 def damaged_model(data: bytes, rng: Rng) -> tuple[bytes, str]:
     """A safetensors file: its header, the configuration in that, or its tensors; mostly with a checksum that fits."""
-    damaged, said = _damaged_model(data, rng)
+    damaged, note = _damaged_model(data, rng)
     if rng.random() < 0.7 and (fitting := with_checksum(damaged)) is not None:
-        return fitting, f"{said}, checksum made to fit"
-    return damaged, said
+        return fitting, f"{note}, checksum made to fit"
+    return damaged, note
 
 
 def with_checksum(data: bytes) -> bytes | None:
@@ -217,20 +217,20 @@ def _damaged_model(data: bytes, rng: Rng) -> tuple[bytes, str]:
         value = pick(rng, (*NUMBERS, length - 1, length + 1, len(data)))
         return struct.pack("<Q", value) + data[8:], f"a header of {value} bytes"
     if kind == 2:
-        header, said = damaged_json(header, rng)
-        return _model(header, tensors), f"header: {said}"
+        header, note = damaged_json(header, rng)
+        return _model(header, tensors), f"header: {note}"
     if kind == 3:
         name = pick(rng, [*metadata])
-        text, said = damaged_json(metadata[name].encode(), rng)
+        text, note = damaged_json(metadata[name].encode(), rng)
         metadata[name] = text.decode("utf-8", "replace")
-        return _model(json.dumps(content).encode(), tensors), f"{name} in the metadata: {said}"
+        return _model(json.dumps(content).encode(), tensors), f"{name} in the metadata: {note}"
     name = pick(rng, [each for each in content if each != "__metadata__"])
     if kind < 6:
         return _with_other_tensor(load(data), metadata, name, rng)
     begin, end = content[name]["data_offsets"]
-    values, said = damaged_bytes(tensors[begin:end], rng)
+    values, note = damaged_bytes(tensors[begin:end], rng)
     values = values[: end - begin].ljust(end - begin, b"\0")
-    return data[: 8 + length] + tensors[:begin] + values + tensors[end:], f"tensor {name}: {said}"
+    return data[: 8 + length] + tensors[:begin] + values + tensors[end:], f"tensor {name}: {note}"
 
 
 def _with_other_tensor(tensors: dict[str, Tensor], metadata: dict[str, str], name: str, rng: Rng) -> tuple[bytes, str]:
@@ -243,7 +243,7 @@ def _with_other_tensor(tensors: dict[str, Tensor], metadata: dict[str, str], nam
     types = (torch.float64, torch.float16, torch.bfloat16, torch.int8, torch.int64, torch.bool, torch.complex64)
     shapes = (flat, before[None], flat[:0], flat[:1], torch.cat([flat, flat]), flat.reshape(before.shape[::-1]))
     new_name, other = name + pick(rng, ("x", ".", "\0", "9" * 5000)), pick(rng, [*tensors])
-    changed, said = pick(
+    changed, note = pick(
         rng,
         (
             ({}, "gone"),
@@ -255,7 +255,7 @@ def _with_other_tensor(tensors: dict[str, Tensor], metadata: dict[str, str], nam
         ),
     )
     content = {each: value.contiguous() for each, value in (tensors | changed).items()}
-    return in_order(save(content, metadata)), f"tensor {name} of {list(before.shape)} {said}"
+    return in_order(save(content, metadata)), f"tensor {name} of {list(before.shape)} {note}"
 
 
 def _model(header: bytes, tensors: bytes) -> bytes:
@@ -274,38 +274,38 @@ def damaged_onnx(data: bytes, rng: Rng) -> tuple[bytes, str]:
     name, text = entries[number]
     words = name.decode()
     if kind == 1:
-        graph, said = damaged_bytes(graph, rng)
-        said = f"graph: {said}"
+        graph, note = damaged_bytes(graph, rng)
+        note = f"graph: {note}"
     elif kind == 2:
         size = onnx_file._as_varint(pick(rng, (*NUMBERS, len(data), len(data) - 1)))
         graph = b"\x3a" + (size if rng.random() < 0.7 else b"\xff" * 1000) + graph[8:]
-        said = "a graph of another length"
+        note = "a graph of another length"
     elif kind == 3:
         other = [entries[:number] + entries[number + 1 :], [*entries, (name, text)], [*entries, entries[number - 1]]]
-        entries, said = pick(rng, (*other, entries[::-1])), f"{words} gone, twice or in another order"
+        entries, note = pick(rng, (*other, entries[::-1])), f"{words} gone, twice or in another order"
     elif kind == 4:
-        name, said = damaged_bytes(name, rng)
-        entries[number], said = (name, text), f"name {words}: {said}"
+        name, note = damaged_bytes(name, rng)
+        entries[number], note = (name, text), f"name {words}: {note}"
     else:
-        text, said = (damaged_json if words == CONFIG else damaged_bytes)(text, rng)
-        entries[number], said = (name, text), f"{words}: {said}"
+        text, note = (damaged_json if words == CONFIG else damaged_bytes)(text, rng)
+        entries[number], note = (name, text), f"{words}: {note}"
     if rng.random() < 0.7:
-        return with_digest(graph, entries), f"{said}, digest made to fit"
-    return put_together(graph, entries), said
+        return with_digest(graph, entries), f"{note}, digest made to fit"
+    return put_together(graph, entries), note
 
 
 def _with_other_description(data: bytes, rng: Rng) -> tuple[bytes, str]:
     """An exported model whose tensors and settings are damaged, mostly with settings for all to read that fit."""
-    arrays, said = damaged_model(base64.b64decode(dict(take_apart(data)[1])[ARRAYS.encode()]), rng)
+    arrays, note = damaged_model(base64.b64decode(dict(take_apart(data)[1])[ARRAYS.encode()]), rng)
     changed = with_arrays(data, lambda _: arrays)
     try:
         config = metadata_of(arrays)["config"].encode("utf-8", "replace")
     except (ValueError, TypeError, LookupError, AttributeError, RecursionError, struct.error):  # no settings any more
-        return changed, said
+        return changed, note
     graph, entries = take_apart(changed)
     if rng.random() < 0.9:
         entries = [(name, config if name == CONFIG.encode() else text) for name, text in entries]
-    return put_together(graph, entries), said
+    return put_together(graph, entries), note
 
 
 def damage_of(name: str) -> Damage:

@@ -158,10 +158,10 @@ def damaged_mcap(data: bytes, rng: Rng) -> tuple[bytes, str]:
         return damaged_bytes(data, rng)
     found = take_apart(data)
     repair = bool(rng.random() < 0.7)
-    said = _damage_record(found, rng)
+    note = _damage_record(found, rng)
     compression = pick(rng, ("", "lz4", "zstd")) if rng.random() < 0.1 else None
     damaged = put_together(found, repair=repair, compression=compression)
-    return damaged, f"{said}{', checksums and offsets made to fit' if repair else ''}"
+    return damaged, f"{note}{', checksums and offsets made to fit' if repair else ''}"
 
 
 def _damage_record(found: list[Record], rng: Rng) -> str:
@@ -193,15 +193,15 @@ def _damage_record(found: list[Record], rng: Rng) -> str:
         record.opcode = int(rng.integers(256))
         return f"{name} with opcode {record.opcode}"
     if what == 4:
-        record.body, said = damaged_bytes(record.body, rng)
-        return f"{name}: {said}"
+        record.body, note = damaged_bytes(record.body, rng)
+        return f"{name}: {note}"
     fields = record.parsed()
     try:
-        said = _damage_message(fields, rng) if isinstance(fields, records.Message) else _damage_field(fields, rng)
+        note = _damage_message(fields, rng) if isinstance(fields, records.Message) else _damage_field(fields, rng)
         record.body = _body(fields)
     except (TypeError, struct.error, UnicodeEncodeError, OverflowError):  # no fields, or more than one can hold
-        record.body, said = damaged_bytes(record.body, rng)
-    return f"{name}: {said}"
+        record.body, note = damaged_bytes(record.body, rng)
+    return f"{name}: {note}"
 
 
 def _damage_message(message: records.Message, rng: Rng) -> str:
@@ -210,24 +210,24 @@ def _damage_message(message: records.Message, rng: Rng) -> str:
         return _damage_field(message, rng)
     content = message.data
     if content[:1] == b"{":
-        message.data, said = damaged_json(content, rng)
-        return said
+        message.data, note = damaged_json(content, rng)
+        return note
     picture = content.find(b"\x89PNG")
     if picture >= 0 and rng.random() < 0.4:
-        image, said = damaged_png(content[picture:], rng)
+        image, note = damaged_png(content[picture:], rng)
         message.data = content[:picture] + image
-        return f"image: {said}"
+        return f"image: {note}"
     if picture > 0 and rng.random() < 0.6:  # the fields before the image
-        head, said = damaged_bytes(content[:picture], rng)
+        head, note = damaged_bytes(content[:picture], rng)
         message.data = head + content[picture:]
-        return said
+        return note
     if len(content) >= 16 and rng.random() < 0.4:  # one of the numbers of eight bytes, which are aligned after four
         at = 4 + 8 * int(rng.integers((len(content) - 4) // 8))
         value = pick(rng, (float("nan"), float("inf"), -1.0, 0.0, 1e300, 1e12, 1e-300, 1e5))
         message.data = content[:at] + struct.pack("<d", value) + content[at + 8 :]
         return f"{value} at byte {at}"
-    message.data, said = damaged_bytes(content, rng)
-    return said
+    message.data, note = damaged_bytes(content, rng)
+    return note
 
 
 def _damage_field(fields: Any, rng: Rng) -> str:

@@ -1,4 +1,6 @@
-"""What cameras see: depth in a rendered scene, and a pattern with and without lens distortion."""
+"""Views of cameras in a rendered scene, and of a pattern with and without lens distortion."""
+
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -7,7 +9,43 @@ from jaxtyping import Float32, Int64
 from filtering.se3 import Poses
 from sequences.frame import Camera
 from sequences.images.undistortion import Lens
-from sequences.rendering.render import LitScene, pixel_rays
+from sequences.rendering.mesh import Tracer
+from sequences.rendering.render import LitScene, pixel_rays, render
+
+
+def shifted(pose: Poses, x: float, y: float, z: float) -> Poses:
+    return Poses(pose.rotation, pose.translation + np.array([x, y, z]))
+
+
+def picture(scene: LitScene, camera: Camera, pose: Poses) -> np.ndarray:
+    return render(scene, camera, Poses.stack([pose] * 4), rng=np.random.default_rng(0))
+
+
+def matt(scene: LitScene) -> LitScene:
+    """The scene without its glossy reflections, which scatter at random."""
+    return replace(scene, gloss=np.zeros_like(scene.gloss))
+
+
+def fraction_that_differs(first: np.ndarray, second: np.ndarray) -> float:
+    return float((np.abs(first - second).max(axis=2) > 0.1 * (0.05 + first.mean(axis=2))).mean())
+
+
+def require_free(scene: LitScene | Tracer, eyes: np.ndarray) -> np.ndarray:
+    """A camera at these places passes through no wall and comes within 10 cm of none; the distances that it sees."""
+    tracer = scene if isinstance(scene, Tracer) else scene.tracer
+    assert not tracer.blocked(eyes[:-1], np.diff(eyes, axis=0)).any()
+    origin, ray = from_all(eyes[::10])
+    assert not tracer.blocked(origin, 0.1 * ray).any()
+    quad, _, _, far = tracer.first_hit(origin, ray)
+    assert (quad >= 0).all()
+    return far
+
+
+def from_all(places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rays of length 1 from each place in 40 directions: origins and directions."""
+    around = np.random.default_rng(0).standard_normal((40, 3))
+    around /= np.linalg.norm(around, axis=1, keepdims=True)
+    return np.repeat(places, 40, axis=0), np.tile(around, (len(places), 1))
 
 
 def depth_and_quads(

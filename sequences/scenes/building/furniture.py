@@ -325,7 +325,7 @@ WANTED = {
     "store": ("rack", "rack", "boxes", "rack", "boxes", "lockers", "rack", "rack", "boxes", "bin"),
     "library": ("shelf", "shelf", "shelf", "shelf", "armchair", "shelf", "shelf", "plant", "shelf", "shelf"),
 }
-"""What a room of each kind gets as far as there is space for it, in this order."""
+"""Furniture of each kind of room, in this order, as far as there is space."""
 
 MIDDLE = {
     "office": "place",
@@ -336,7 +336,7 @@ MIDDLE = {
     "store": "crates",
     "library": "dining",
 }
-"""What stands in the middle of a room of each kind, once or in rows."""
+"""Furniture in the middle of each kind of room, once or in rows."""
 
 
 def draw_furniture(rng: np.random.Generator) -> dict[str, Piece]:

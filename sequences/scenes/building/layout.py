@@ -1,4 +1,4 @@
-"""How a room is furnished, and where in it one can walk."""
+"""The furniture of a room, and the path through it."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ class Layout:
     Attributes:
         width, depth: Inner size in x and y, metres.
         door: x of the middle of the door.
-        walkway: Where one walks, from the door on, metres; all of it away from walls and furniture.
-        pieces: What stands in the room, where.
+        walkway: Path from the door on, metres, clear of walls and furniture.
+        pieces: Furniture and its places.
         boxes: The footprint (x0, y0, x1, y1) and height of each piece, metres.
-        windows: x0, x1, z0, z1 of those in the wall opposite the door.
-        leaf: x0, x1 of the door's leaf, which stands open along the wall; None where there is no space for one.
+        windows: x0, x1, z0, z1 of each in the wall opposite the door.
+        leaf: x0, x1 of the door's leaf, open along the wall; None where it has no space.
     """
 
     width: float

@@ -27,18 +27,7 @@ from sequences.scenes.building.plan import DOOR_HEIGHT, DOOR_WIDTH, Plan, Spot
 
 @dataclass(frozen=True)
 class Palette:
-    """How one storey is painted.
-
-    Attributes:
-        corridor_wall, stair_wall: Walls outside of rooms.
-        room_walls: Walls of each kind of room.
-        corridor_floor, stair_floor: Floors outside of rooms, and the steps.
-        room_floors: Floor of each kind of room.
-        ceiling: All ceilings.
-        trim: Frames of doors and windows, radiators.
-        doors: Leaves of the doors, one of few by a slot's look.
-        rail: Rails and balustrades.
-    """
+    """Paint of one storey; of rooms by their kind, of doors by a slot's look."""
 
     corridor_wall: Material
     stair_wall: Material
@@ -53,7 +42,7 @@ class Palette:
 
 
 def draw_palette(rng: np.random.Generator, num_kinds: int) -> Palette:
-    """Colours and materials of one storey, with walls and floors for so many kinds of rooms."""
+    """The paint of one storey."""
     floor, flagged = draw_floor(rng), draw_floor(rng)
     same_floors = rng.random() < 0.4
     return Palette(
@@ -72,14 +61,7 @@ def draw_palette(rng: np.random.Generator, num_kinds: int) -> Palette:
 
 @dataclass(frozen=True)
 class Looks:
-    """What a building is made of on a visit.
-
-    Attributes:
-        palettes: How the levels of each style are painted.
-        lamp, pane: The light of lamps, and what lies behind windows.
-        lamp_size: Sides of a lamp, metres.
-        lamp_spacing: From lamp to lamp, metres.
-    """
+    """Materials of a building on a visit: paint by style, lamps, the view from windows; lengths in metres."""
 
     palettes: tuple[Palette, ...]
     lamp: Material
@@ -90,7 +72,7 @@ class Looks:
 
 @cache
 def palettes(plan: Plan) -> tuple[Palette, ...]:
-    """How the levels of each style are painted."""
+    """The paint of each style."""
     return tuple(draw_palette(plan.rng(1, style), len(plan.kinds)) for style in range(max(plan.styles) + 1))
 
 
@@ -105,7 +87,7 @@ METAL = Material(texture.brushed, gloss=0.6)
 
 @dataclass(frozen=True)
 class Hole:
-    """In a wall: from where to where along it, how high, metres; what is behind."""
+    """An opening in a wall: limits along it and in height, metres, and the pane behind."""
 
     begin: float
     end: float
@@ -164,7 +146,7 @@ def add_wall(
 
 
 def add_box_on_wall(part: Part, spot: Spot, low: _Corner, high: _Corner, material: Material) -> None:
-    """A box told in the frame of a wall: x along it, y out of it; for frames that are turned by quarters."""
+    """A box in the frame of a wall: x along it, y out of it; the frame is turned by quarters."""
     corners = spot.points(np.array([low[:2], high[:2]]))
     first, second = np.array([*corners[0], low[2]]), np.array([*corners[1], high[2]])
     part.box(np.minimum(first, second), np.maximum(first, second), material)

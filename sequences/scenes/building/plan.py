@@ -1,4 +1,10 @@
-"""x"""
+"""The plan of a building, in two dimensions, drawn from its number.
+
+A building has levels alike in plan. A block is a corridor with slots along both sides: rooms, closed doors, windows,
+stairwells, or a wing, which is a block of its own that begins there. Frames are turned about z: a block's x runs along
+its corridor from one end wall to the other, and y across it; a room's x runs along the wall with its door, and y away
+from the corridor.
+"""
 
 from __future__ import annotations
 
@@ -22,12 +28,12 @@ class Spot:
     heading: float
 
     def within(self, outer: Spot) -> Spot:
-        """The same frame, told in the frame that `outer` is told in; this one is told in `outer`."""
+        """The same frame, from coordinates of `outer` to those that `outer` is given in."""
         x, y = outer.points(np.array([[self.x, self.y]]))[0]
         return Spot(float(x), float(y), outer.heading + self.heading)
 
     def points(self, xy: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 2"]:
-        """Points (n, 2) of this frame in the frame that it is told in."""
+        """Points (n, 2) of this frame in the outer one."""
         cos, sin = np.cos(self.heading), np.sin(self.heading)
         return xy @ np.array([[cos, sin], [-sin, cos]]) + np.array([self.x, self.y])
 
@@ -104,32 +110,32 @@ class Stairs:
 
     @property
     def up_x(self) -> tuple[float, float]:
-        """Where the flight is that leads up from a level."""
+        """Limits of the flight up from a level."""
         w = self.flight_width
         return (self.width - w, self.width) if self.mirrored else (0.0, w)
 
     @property
     def down_x(self) -> tuple[float, float]:
-        """Where the flight arrives that leads up from the level below."""
+        """Limits of the flight from the level below."""
         w = self.flight_width
         return (0.0, w) if self.mirrored else (self.width - w, self.width)
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What a building's number draws of its shape.
+    """The shape of a building.
 
     Attributes:
         number: Of the building.
-        levels: How many floors there are.
-        storey, slab: From floor to floor, and how thick the floor between is, metres.
+        levels: Number of floors.
+        storey, slab: From floor to floor, and thickness of the floor between, metres.
         wall: Thickness of the walls, metres.
-        blocks: The main corridor, and its wing where there is one.
+        blocks: The main corridor, and its wing if any.
         depth_high, depth_low: Of the rooms on either side, metres.
         stairs: All stairwells are alike.
-        kinds: What kinds of rooms there are; a slot's `look` is an index into it.
-        styles: For each level the palette it wears; levels of one palette look the same but for what is unique.
-        cues_per_level: How many unique things hang on a level, on average.
+        kinds: Kinds of rooms; a slot's `look` is an index into it.
+        styles: Palette of each level; levels of one palette look the same but for unique things.
+        cues_per_level: Mean number of unique things on a level.
         signs: Whether the number of the level is painted by the stairs.
     """
 

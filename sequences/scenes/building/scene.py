@@ -1,4 +1,4 @@
-"""x"""
+"""Buildings by number, with their unique things, and the camera and odometry of who walks through them."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ def _entrance(plan: Plan) -> list[Placement]:
 
 
 SAMPLING = Sampling(grid_m=0.18, shadow_rays=9, bounce_rays=48, reach_m=7.0)
-"""How finely light is sampled: buildings are large."""
+"""Coarser than usual, as buildings are large."""
 
 _SEED_NUMBER = 1000  # that of all buildings; the second one is the building's own
 _RATES_HZ = (4.0, 5.0, 6.0, 7.5, 8.0, 10.0, 12.0, 15.0, 20.0, 24.0, 25.0, 30.0)

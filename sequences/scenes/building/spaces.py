@@ -32,7 +32,7 @@ def wall_spot(block: Block, high: bool, x: float) -> Spot:
 
 
 def free_walls(plan: Plan, block: Block, shortest: float) -> list[tuple[bool, float, float]]:
-    """Where the walls of a corridor have neither doors nor windows: side, begin and end along the corridor."""
+    """Stretches of a corridor's walls without doors and windows: side, begin and end along the corridor."""
     free = []
     for high in (False, True):
         reached = 0.25
@@ -87,7 +87,7 @@ def corridor(plan: Plan, index: int, looks: Looks, style: int) -> Part:
 
 
 def _opening(plan: Plan, slot: Slot) -> tuple[float, float, float]:
-    """Of a slot in the wall of the corridor: from where to where along it, and how high."""
+    """Begin, end and height of a slot's opening."""
     if slot.kind in ("stairs", "wing"):
         return slot.begin + JAMB, slot.end - JAMB, min(2.5, plan.clear - 0.12)
     return slot.door - DOOR_WIDTH / 2, slot.door + DOOR_WIDTH / 2, DOOR_HEIGHT
@@ -275,7 +275,7 @@ def _top(plan: Plan, looks: Looks, palette: Palette) -> Part:
 
 
 def _low_panel(plan: Plan, palette: Palette) -> Part:
-    """What closes the space below the lowest flight that comes down: there is no way further."""
+    """A panel below the lowest flight that comes down."""
     part, stairs = Part(cue=True), plan.stairs
     (a, b), inner = stairs.down_x, stairs.up_x[0] if stairs.mirrored else stairs.up_x[1]
     x0, x1 = (a, inner) if stairs.mirrored else (inner, b)

@@ -49,7 +49,7 @@ _PERSON_M = PERSON_RADIUS + 0.42  # from where one walks to the middle of a pers
 
 
 def draw_people(plan: Plan, rng: np.random.Generator) -> tuple[tuple[int, Spot, int], ...]:
-    """Where people stand, away from where one walks and from what stands there, as `Visit.people` has it."""
+    """`Visit.people`: clear of paths and furniture."""
     walked = _all_ways(plan)
     people: list[tuple[int, Spot, int]] = []
     places = [(block, None) for block in plan.blocks] + list(plan.slots("room"))
@@ -96,12 +96,12 @@ def _resampled(line: np.ndarray, spacing: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Visit:
-    """What differs from one walk through a building to another.
+    """Light and people of one walk through a building.
 
     Attributes:
-        lamps, daylight: How bright they are, 1 as usual.
+        lamps, daylight: Brightness, 1 as usual.
         tint: Colour of the lamps.
-        people: Level and place of everyone who stands about, in the world, and a number that says who.
+        people: Level, place in the world, and seed of the looks of each person.
     """
 
     lamps: float = 1.0
@@ -174,7 +174,7 @@ def draw_line(
 
 
 def _stations(net: Ways, training: bool, seed: int, rng: np.random.Generator) -> Iterator[Station]:
-    """Where a walk goes, one after the other, without end."""
+    """The stations of a walk, without end."""
     count = len(net.tour)
     if training:
         fraction = (seed % TRAINING_WALKS) / TRAINING_WALKS
@@ -255,7 +255,7 @@ def _between(values: np.ndarray, at: float) -> float:
 
 
 def _headings(line: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where one looks along a line, to what lies a little ahead; and how fast one can be, as one stops to turn back."""
+    """Heading towards the points a little ahead, and the highest speed, which falls to turn back."""
     index, reach = np.arange(len(line)), round(0.1 / FINE_M)
     step = line[reach:, :2] - line[:-reach, :2]
     back = np.concatenate([[False], np.einsum("nk,nk->n", step[:-reach], step[reach:]) < 0, [False]])

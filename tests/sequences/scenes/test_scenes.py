@@ -15,7 +15,8 @@ from sequences.scenes.corridor import walk_corridor
 from sequences.scenes.staircase import walk_stairs
 from sequences.scenes.tables import circle_table
 from sequences.synthesize import synthesize
-from tests.helpers.views import depth_and_quads
+from tests.helpers import views
+from tests.helpers.views import depth_and_quads, fraction_that_differs, shifted
 
 CAMERA = Camera(96, 72, 60.0, 60.0, 47.5, 35.5)
 
@@ -39,12 +40,8 @@ def upward(x: float, y: float, yaw: float) -> Poses:
     return Poses(np.stack([right, np.cross(up, right), up], axis=1), np.array([x, y, 0.9]))
 
 
-def shifted(pose: Poses, x: float, y: float, z: float) -> Poses:
-    return Poses(pose.rotation, pose.translation + np.array([x, y, z]))
-
-
 def picture(scene: LitScene, pose: Poses) -> np.ndarray:
-    return render(scene, CAMERA, Poses.stack([pose] * 4), rng=np.random.default_rng(0))
+    return views.picture(scene, CAMERA, pose)
 
 
 def load_scene(name: str) -> LitScene:
@@ -52,13 +49,7 @@ def load_scene(name: str) -> LitScene:
 
 
 def matt(name: str) -> LitScene:
-    """The scene without its glossy reflections, which scatter at random."""
-    scene = load_scene(name)
-    return replace(scene, gloss=np.zeros_like(scene.gloss))
-
-
-def fraction_that_differs(first: np.ndarray, second: np.ndarray) -> float:
-    return float((np.abs(first - second).max(axis=2) > 0.1 * (0.05 + first.mean(axis=2))).mean())
+    return views.matt(load_scene(name))
 
 
 # --- specifications --------------------------------------------------------------------------------
@@ -268,17 +259,10 @@ def test_true_camera_poses_are_base_poses_times_extrinsics_at_the_stamps(name):
 
 
 def test_no_camera_passes_through_a_wall_or_comes_too_near_to_one(name):
-    scene = load_scene(name)
     walks = synthesize(name, seed=0, num_frames=1500, split="train"), synthesize(name, seed=1, num_frames=1500)
     for sequence in walks:
-        eye = (sequence.world_from_base @ sequence.base_from_camera).translation
-        assert not scene.tracer.blocked(eye[:-1], np.diff(eye, axis=0)).any()
-        around = np.random.default_rng(0).standard_normal((40, 3))
-        around /= np.linalg.norm(around, axis=1, keepdims=True)
-        some = eye[::10]
-        assert not scene.tracer.blocked(np.repeat(some, 40, axis=0), 0.1 * np.tile(around, (len(some), 1))).any()
-        _, _, _, far = scene.tracer.first_hit(np.repeat(some, 40, axis=0), np.tile(around, (len(some), 1)))
-        assert far.max() < 40  # and never out of the building
+        eyes = (sequence.world_from_base @ sequence.base_from_camera).translation
+        assert views.require_free(load_scene(name), eyes).max() < 40  # and never out of the building
 
 
 # --- walks -----------------------------------------------------------------------------------------
