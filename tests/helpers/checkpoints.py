@@ -60,10 +60,8 @@ def any_checkpoint(head: str = "variational", *, familiar: bool = True) -> Check
 
 
 def an_image(seed: int = 0) -> np.ndarray:
-    """An image of the size that these networks see."""
     return np.random.default_rng(seed).integers(0, 256, (32, 40, 3), dtype=np.uint8)
 
 
 def noise(columns: int, samples: int = 37) -> np.ndarray:
-    """Noise for posterior samples."""
     return np.random.default_rng(1).standard_normal((samples, columns), dtype=np.float32)

@@ -71,7 +71,6 @@ def pose_numbers(pose: Poses, order: str) -> list[str]:
 
 
 def write_images(folder: Path, names: dict[int, str]) -> None:
-    """Images by what is to be seen in them."""
     for index, name in names.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         write_image(folder / name, index)
@@ -109,7 +108,6 @@ HEADER = "Visual Landmark Dataset V1\nImageFile, Camera Position [X Y Z W P Q R]
 
 
 def cambridge_row(name: str, pose: Poses) -> str:
-    """Centre of the camera in the world, and the quaternion from world to camera."""
     return " ".join([name, *numbers(pose.translation, pose.inverse().as_quat_xyzw(), "tx ty tz qw qx qy qz")])
 
 
@@ -129,7 +127,6 @@ COLMAP_NAMES = {0: "a/frame9.png", 1: "a/frame10.png", 2: "b/view 1.png"}
 
 
 def colmap_row(number: int, pose: Poses, camera: int, name: str) -> str:
-    """World-to-camera, as COLMAP writes it."""
     return " ".join([str(number), *pose_numbers(pose.inverse(), "qw qx qy qz tx ty tz"), str(camera), name])
 
 
@@ -149,7 +146,6 @@ THIRTIETH_NS = 1_000_000_000 / 30
 
 
 def check(path: Path, indices: list[int], times_ns: list[float] | None = None) -> None:
-    """What is seen in the frames, their poses and their stamps."""
     frames = list(posed_frames(path))
     assert [int(frame.image[0, 0, 0]) // 10 for frame in frames] == indices
     for index, frame in zip(indices, frames, strict=True):

@@ -1,4 +1,4 @@
-"""Coloured dots in space, drawn as a format's documents say that its cameras see, to check what a reader makes of it.
+"""Coloured dots in space, drawn by a format's documented conventions, to check its reader.
 
 `drawn` knows a pose only by the words of a format ("the axes are x right, y up, z backward"), and `misses` only what
 was read, by OpenCV's projection. So a dot is where it is expected only if axes, direction and intrinsics were all
@@ -35,7 +35,7 @@ Pixels = Callable[[np.ndarray], np.ndarray]
 
 
 def looking(index: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """What a camera's right, down and ahead are in the world, and where it is: never aligned with anything."""
+    """A camera's right, down and ahead in the world, and its place: never aligned with anything."""
     ahead = np.array([0.07 - 0.05 * index, 1.0, 0.04 * index - 0.06])
     ahead /= np.linalg.norm(ahead)
     right = np.cross(ahead, [0.12, 0.1, 1.0])
@@ -62,7 +62,6 @@ def opengl_pixels(camera_points: np.ndarray) -> np.ndarray:
 
 
 def opencv_pixels(camera_points: np.ndarray) -> np.ndarray:
-    """The pinhole projection."""
     x, y, depth = camera_points.T
     return np.column_stack([CX + FX * x / depth, CY + FY * y / depth])
 
@@ -209,7 +208,6 @@ R3D_SECONDS = [0.5 + i / 60 for i in range(NUM)]
 
 
 def r3d_metadata() -> dict:
-    """What the app writes of a recording: poses with OpenGL's axes, K column by column."""
     poses = [[*Rotation.from_matrix(opengl(i)[:3, :3]).as_quat(), *opengl(i)[:3, 3]] for i in range(NUM)]
     return {
         "fps": 60,
@@ -307,7 +305,7 @@ def check_conversion(path: Path, folder: Path, indices: list[int], *, within_px:
 
 
 def refuse(path: Path, *said: str) -> None:
-    """Reading fails with one line that says all this."""
+    """Reading fails with one line that contains all of `said`."""
     with pytest.raises(SequenceError) as error:
         list_images(path)
     line = str(error.value)
@@ -317,7 +315,7 @@ def refuse(path: Path, *said: str) -> None:
 
 
 def leaves_out(path: Path, num_rows: int, *said: str) -> PosedImages:
-    """Reading goes on without one row, which is counted; of it one notice says all this."""
+    """Reading skips and counts one row; one notice contains all of `said`."""
     listed = list_images(path)
     (notice,) = listed.notices
     assert notice.startswith(f"1 of {num_rows} ")

@@ -55,14 +55,12 @@ class FoxgloveClient:
         self._socket.close()
 
     def wait_for(self, *topics: str) -> None:
-        """Wait until topics are offered."""
         end_s = time.monotonic() + 10
         while not {*topics} <= self.channels.keys():
             assert time.monotonic() < end_s, f"{topics} are not offered"
             self._take()
 
     def subscribe(self, topic: str) -> None:
-        """Subscribe to an offered topic; to one in all."""
         subscription = {"id": _SUBSCRIPTION, "channelId": self.channels[topic]["id"]}
         self._send(_TEXT, json.dumps({"op": "subscribe", "subscriptions": [subscription]}).encode())
 

@@ -63,7 +63,6 @@ class Told(NamedTuple):
 
 
 def write(path: Path, encoding: str, *parts: Iterable[Told]) -> Path:
-    """Write messages in order of time."""
     events = sorted((event for part in parts for event in part), key=lambda event: event.time_ns)
     with open(path, "wb") as file:
         if encoding == "protobuf":
@@ -155,7 +154,7 @@ def _protobuf_classes() -> dict[str, Any]:
     return message_factory.GetMessageClassesForFiles(["foxglove.proto"], pool)
 
 
-# --- the walk of `sequence_files`, as Foxglove's messages tell it ----------------------------------
+# --- the walk of `sequence_files`, in Foxglove's messages ----------------------------------
 
 
 def vector(p: Poses) -> dict[str, float]:
@@ -204,17 +203,17 @@ def transforms(
     parent: str, child: str, times_ns: Iterable[int], at: Callable[[int], Poses], *, topic: str = "/transforms"
 ) -> list[Told]:
     """Links, each as a message of its own, or wrapped where the topic ends in an s."""
-    told = []
+    links = []
     for t in times_ns:
         link = {"timestamp": t, "parent_frame_id": parent, "child_frame_id": child}
         link |= {"translation": vector(at(t)), "rotation": quaternion(at(t))}
         wrapped = topic.endswith("s")
-        told.append(Told(t, topic, f"FrameTransform{'s' * wrapped}", {"transforms": [link]} if wrapped else link))
-    return told
+        links.append(Told(t, topic, f"FrameTransform{'s' * wrapped}", {"transforms": [link]} if wrapped else link))
+    return links
 
 
 def robot(topic: str = "/transforms") -> list[Told]:
-    """map -> odom that never changes, odom -> base_link at 50 Hz, base_link -> camera told once."""
+    """map -> odom that never changes, odom -> base_link at 50 Hz, base_link -> camera once."""
     return [
         *transforms("map", "odom", stamps(every_ms=90, since_ms=-39), lambda _: MAP_FROM_ODOM, topic=topic),
         *transforms("odom", "base_link", stamps(), lambda t: MAP_FROM_ODOM.inverse() @ body(t), topic=topic),

@@ -26,7 +26,7 @@ ODOMETRY_STD = np.array([0.004] * 3 + [0.002] * 3)
 
 @dataclass(frozen=True)
 class Walk:
-    """What was, what odometry and images said of it, and how far each image was from the one before, in lengths."""
+    """True poses, odometry, posteriors, and the normalized distance of each image from the one before."""
 
     truth: Poses
     odometry: list[Odometry | None]
@@ -85,7 +85,7 @@ def simulated(seed, num_images=250, per_image=1):
 
 
 def understated(path, factor):
-    """The same walk, the variance of the errors `factor` times what the posteriors say."""
+    """The same walk, with posteriors whose variance is too small by this factor."""
     return replace(path, posteriors=[posterior.inflated(1.0 / factor) for posterior in path.posteriors])
 
 

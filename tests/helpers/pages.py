@@ -66,12 +66,10 @@ class ReadPage(HTMLParser):
 
     @property
     def data(self) -> dict[str, Any]:
-        """What the page's figures are drawn from."""
         return json.loads(gzip.decompress(base64.b64decode(self.scripts["data"])))
 
 
 def entities_of(path: Path) -> set[str]:
-    """Entity paths in a recording."""
     command = [sys.executable, "-m", "rerun_cli", "rrd", "print", str(path)]
     text = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     return {line.split(" - ")[1].strip() for line in text.splitlines() if line.startswith("Chunk(")}

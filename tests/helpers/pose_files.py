@@ -51,14 +51,12 @@ def walk(seed: int = 0) -> dict[str, Poses]:
 
 
 def noisy(poses: Mapping[str, Poses], std_m: float, std_rad: float, seed: int = 0) -> dict[str, Poses]:
-    """The same frames with Gaussian errors."""
     scale = np.repeat([std_m, std_rad], 3)
     rng = np.random.default_rng(seed)
     return {name: pose @ Poses.exp(scale * rng.standard_normal(6)) for name, pose in poses.items()}
 
 
 def moved(pose: Poses, metres: float) -> Poses:
-    """A pose so far along the x axis of the world."""
     return Poses(pose.rotation, pose.translation + np.array([metres, 0.0, 0.0]))
 
 

@@ -36,12 +36,10 @@ def write_random(path: Path, seed: int) -> list[str]:
 
 
 def _topic(rng: random.Random) -> tuple[str, ...]:
-    """One of the topics, or all."""
     return rng.choice([*((topic,) for topic in TOPICS), TOPICS])
 
 
 def _drop(events: list[Event], rng: random.Random) -> list[Event]:
-    """Single messages are lost."""
     topics, share = _topic(rng), rng.choice([0.1, 0.5, 0.9])
     return [event for event in events if event.topic not in topics or rng.random() >= share]
 
@@ -154,7 +152,7 @@ FAULTS: list[Change] = [
 
 
 def _shifted(message: Any, by_ns: int) -> Any:
-    """All stamps of a message, by so much; kept within what a stamp can say."""
+    """A message with all stamps shifted, within the range of stamps."""
     if isinstance(message, list):
         return [_shifted(each, by_ns) for each in message]
     if not isinstance(message, dict):
@@ -174,7 +172,6 @@ def _named(message: Any, old: str, new: str) -> Any:
 
 
 def _numbers(message: Any) -> Iterator[dict[str, float]]:
-    """Vectors and quaternions in a message."""
     if isinstance(message, list):
         for each in message:
             yield from _numbers(each)

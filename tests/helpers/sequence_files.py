@@ -39,7 +39,6 @@ def world_from_camera(time_ns: int) -> Poses:
 
 
 def picture(index: int) -> np.ndarray:
-    """An image whose colours say which one it is."""
     image = np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8)
     image[...] = [40 + 5 * index, 200 - 5 * index, 90]
     return image
@@ -47,7 +46,7 @@ def picture(index: int) -> np.ndarray:
 
 @dataclass
 class Walk:
-    """What goes into a file: tests change it before they write it."""
+    """The content of a file: tests change it before they write it."""
 
     num_images: int = 12
     twist_covariance: np.ndarray = field(default_factory=lambda: TWIST_COVARIANCE)
@@ -128,7 +127,6 @@ def as_split_folder(source: Path, folder: Path, *, cut_s: float = 0.555) -> Path
 
 
 def write_listing(bag: Path) -> Path:
-    """The metadata.yaml of a rosbag2 folder, by what its files state."""
     files, topics = sorted(bag.glob("*.mcap")), Counter[tuple[str, str]]()
     totals = []
     for file in files:
@@ -241,7 +239,7 @@ MS = 1_000_000
 
 
 def relogged(walk: Path, target: Path, late_ns: Callable[[str, int], int]) -> Path:
-    """A copy in which messages were logged late, by what a function of topic and stamp says."""
+    """A copy in which messages were logged late, by a function of topic and stamp."""
     return rewrite(walk, target, log_time=lambda topic, time_ns: time_ns + late_ns(topic, time_ns))
 
 
@@ -290,7 +288,7 @@ def damaged(source: Path, target: Path, change: Callable[[bytearray], None], **o
 
 
 def without_ten_images(data: bytearray) -> None:
-    """Ten of the records of images become ones of a kind that nobody knows."""
+    """Give ten records of images an unknown opcode."""
     lose_ten(data, chunks(data))
 
 

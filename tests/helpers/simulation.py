@@ -51,7 +51,7 @@ def wandering(distances, size, *, rng):
 
 
 def image_errors(distances, errors, *, std=STD, rng):
-    """Errors ξ (n, 6) of images taken taken at distances, in lengths, from the one before: lasting and fresh ones."""
+    """Errors ξ (n, 6) of images at normalized distances from the one before: lasting and fresh ones."""
     lasting = wandering(distances, 6, rng=rng)
     fresh = rng.standard_normal((len(distances) + 1, 6))
     share = errors.lasting_fraction
@@ -121,7 +121,7 @@ def weight_near(estimate, position, within=1.0):
 
 
 def walk(localizer, count, *, shares=(1.0,), heights_m=(0.0,), pose=None, seed=0, errors=ERRORS, step=AHEAD):
-    """Estimates along a walk whose images err as the model says, and the true pose at its end."""
+    """Estimates along a walk whose images err as modelled, and the true pose at its end."""
     rng = RNG(seed)
     pose = Poses.identity() if pose is None else pose
     distance = float(np.hypot(*(np.linalg.norm(part) for part in np.split(step.previous_from_current.log(), 2)))) / 0.45
@@ -145,7 +145,7 @@ def translated(points) -> Poses:
 
 
 class Associated(NamedTuple):
-    """The hypotheses after an image, with weights not normalised, and what it says of each before it, (n,)."""
+    """The hypotheses after an image, with weights not normalised, and its log evidence for each before it, (n,)."""
 
     hypotheses: Hypotheses
     log_evidence: np.ndarray
@@ -155,7 +155,7 @@ class Associated(NamedTuple):
 def associate(
     belief: Hypotheses, posterior: PosePosterior, camera: int, *, novelty: float, distance: float
 ) -> Associated:
-    """Weigh and correct a belief by an image of the camera with this number, which came so far since its last."""
+    """Weigh and correct a belief by an image of a camera at a distance from its last one."""
     pairs = gate(belief, posterior, [Link(camera, distance)])
     found = evidence(belief, posterior, pairs)
     after = correct(belief.reweighted(novelty * found.log_likelihood), posterior, pairs, found.outlier)

@@ -29,7 +29,6 @@ class Event(NamedTuple):
 
 
 def record(path: Path, *parts: Iterable[Event]) -> Path:
-    """Write messages in order of time."""
     return write_events(path, sorted((event for part in parts for event in part), key=lambda event: event.time_ns))
 
 
@@ -72,7 +71,6 @@ def images(num_images: int = 12, frame: str = "camera") -> list[Event]:
 
 
 def camera_infos(cameras: Iterable[tuple[int, Camera]], topic: str = "/image/camera_info") -> list[Event]:
-    """Intrinsics of a camera without distortion, as they are from some stamp on."""
     events = []
     for t, c in cameras:
         k = [c.fx, 0.0, c.cx, 0.0, c.fy, c.cy, 0.0, 0.0, 1.0]
@@ -90,12 +88,10 @@ def tf(parent: str, child: str, times_ns: Iterable[int], at: Callable[[int], Pos
 
 
 def mounted(base: str = "base_link", camera: str = "camera", topic: str = "/tf_static") -> list[Event]:
-    """Where the camera sits."""
     return tf(base, camera, [BEGIN_NS - 40 * MS], lambda _: BASE_FROM_CAMERA, topic)
 
 
 def body(time_ns: int) -> Poses:
-    """Where the robot is in the map."""
     return world_from_base(np.array(time_ns))
 
 

@@ -55,7 +55,6 @@ def pose(frame: Frame) -> Poses:
 
 
 def train_on_most(frames: list[Frame], output: Path, config: TrainConfig, **more):
-    """The last quarter is held out, taken where the first images were."""
     count = len(frames) * 3 // 4
     held_out = [
         replace(late, world_from_camera=pose(early)) for late, early in zip(frames[count:], frames, strict=False)
