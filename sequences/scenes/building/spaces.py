@@ -137,17 +137,15 @@ def _room(plan: Plan, room: Layout, look: int, looks: Looks, style: int) -> Part
 
 def place_furniture(plan: Plan) -> list[Placement]:
     """Furniture: one part for each type, wherever it stands."""
-    offsets: dict[str, list[tuple[float, float, float]]] = defaultdict(list)
-    headings: dict[str, list[float]] = defaultdict(list)
-    parts = {name: piece.part for name, piece in pieces_of(plan).items()}
+    places: dict[str, list[tuple[float, float, float, float]]] = defaultdict(list)
     for level, style in enumerate(plan.styles):
         for block, slot in plan.slots("room"):
-            room, frame = layout(plan, slot, style), plan.frame_of(block, slot)
-            for name, local in room.pieces:
+            frame = plan.frame_of(block, slot)
+            for name, local in layout(plan, slot, style).pieces:
                 spot = local.within(frame)
-                offsets[name].append((spot.x, spot.y, level * plan.storey))
-                headings[name].append(spot.heading)
-    return [Placement(parts[name], np.array(at), np.array(headings[name])) for name, at in offsets.items()]
+                places[name].append((spot.x, spot.y, level * plan.storey, spot.heading))
+    pieces, found = pieces_of(plan), {name: np.array(each) for name, each in places.items()}
+    return [Placement(pieces[name].part, each[:, :3], each[:, 3]) for name, each in found.items()]
 
 
 _RAIL_HEIGHT = 0.95

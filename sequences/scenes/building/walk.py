@@ -15,7 +15,7 @@ from sequences.rendering.mesh import Part
 from sequences.rendering.texture import plain
 from sequences.scenes.building.layout import layout
 from sequences.scenes.building.paint import colour
-from sequences.scenes.building.plan import Plan, Spot
+from sequences.scenes.building.plan import Plan, Spot, distances_along, points_at, resampled
 from sequences.scenes.building.ways import ASIDE_M, Station, Ways, ways
 from sequences.scenes.scene import SPLITS
 
@@ -84,14 +84,8 @@ def _all_ways(plan: Plan) -> np.ndarray:
     lines = [station.visit for station in net.tour]
     nodes = np.stack([net.before, np.broadcast_to(np.arange(len(net.points)), net.before.shape)], axis=-1)
     lines += [net.points[edge] for edge in np.unique(nodes[net.before >= 0], axis=0)]
-    pieces = [_resampled(line, 0.1) for line in lines]
+    pieces = [resampled(line, 0.1) for line in lines]
     return np.concatenate([*pieces, net.points])
-
-
-def _resampled(line: np.ndarray, spacing: float) -> np.ndarray:
-    walked = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
-    at = np.arange(0.0, walked[-1], spacing)
-    return np.stack([np.interp(at, walked, line[:, k]) for k in range(line.shape[1])], axis=1)
 
 
 @dataclass(frozen=True)
@@ -153,10 +147,8 @@ def draw_line(
         if walked > length_m + skipped + 1.0:
             break
     rough = np.array(corners)
-    fine = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(rough, axis=0), axis=1))])
-    at = np.arange(0.0, fine[-1], FINE_M)
-    line = np.stack([np.interp(at, fine, rough[:, k]) for k in range(3)], axis=1)
-    segment = np.clip(np.searchsorted(fine, at, side="right"), 1, len(fine) - 1)
+    line, fine = resampled(rough, FINE_M), distances_along(rough)
+    segment = np.clip(np.searchsorted(fine, np.arange(0.0, fine[-1], FINE_M), side="right"), 1, len(fine) - 1)
     freedom = np.minimum(np.array(free)[segment - 1], np.array(free)[segment])
     for level, spot, _ in visit.people:
         near = np.linalg.norm(line - (spot.x, spot.y, level * plan.storey), axis=1) < 1.0
@@ -168,9 +160,9 @@ def draw_line(
     freedom = minimum_filter1d(freedom, 2 * round(_BEFORE_TURN_M / FINE_M), mode="nearest")
     freedom = gaussian_filter1d(freedom, 0.3 / FINE_M, mode="nearest")
     line = gaussian_filter1d(line, _ROUND_M / FINE_M, axis=0, mode="nearest")
-    again = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+    again = distances_along(line)
     at = np.arange(skipped, again[-1], FINE_M)
-    return np.stack([np.interp(at, again, line[:, k]) for k in range(3)], axis=1), np.interp(at, again, freedom)
+    return points_at(line, at), np.interp(at, again, freedom)
 
 
 def _stations(net: Ways, training: bool, seed: int, rng: np.random.Generator) -> Iterator[Station]:
