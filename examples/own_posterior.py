@@ -3,7 +3,7 @@
 python examples/own_posterior.py
 
 A robot drives along a corridor of ten doors, four metres apart: eight are white, the last two are blue and red. Its
-detector says at which doors it may be standing: eight places that are equally possible, or one.
+detector proposes doors at which it may be standing: eight places that are equally possible, or one.
 """
 
 import numpy as np
@@ -21,7 +21,7 @@ def at(x_m: np.ndarray) -> vapor.Poses:
 
 
 def detect(door: int, rng: np.random.Generator) -> vapor.PosePosterior:
-    """What the detector says at a door: all white ones, or the one of that colour, each 10 cm and 3 degrees off."""
+    """The detector's posterior at a door: all white ones, or the one of that colour, each 10 cm and 3 degrees off."""
     doors = DOORS_M[[door]] if door >= 8 else DOORS_M[:8]
     return vapor.PosePosterior.from_estimates(at(doors + rng.normal(0.0, 0.1)), std_m=0.1, std_rad=0.05, errors=ERRORS)
 

@@ -21,7 +21,7 @@ def main() -> None:
     parser.add_argument("--output", type=Path, default=Path("place.safetensors"))
     options = parser.parse_args()
 
-    # `train` calibrates by itself on passes that it holds out. Whoever has a walk to spare calibrates on that.
+    # `train` calibrates by itself on passes that it holds out. With a walk to spare, calibrate on that.
     config = replace(vapor.PRESETS["auto"], hours=options.hours, epochs=options.epochs, calibrate=False)
     vapor.train(options.walks, options.output, config, validation=options.held_out)
     result = vapor.calibrate_model(str(options.output), options.held_out, options.output, training=options.walks)
@@ -29,7 +29,7 @@ def main() -> None:
     errors = result.calibration.errors
     print(f"an ordinary image is {100 * max(errors.typical_std[:3]):.0f} cm off")
     print(f"its error lasts for {errors.length_m:.2f} m")
-    print(f"an image says nothing with a probability of {100 * errors.outlier_probability:.0f} %")
+    print(f"no place of an image is right with a probability of {100 * errors.outlier_probability:.0f} %")
 
 
 if __name__ == "__main__":

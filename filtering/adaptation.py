@@ -1,9 +1,9 @@
-"""Whether images err more or less than their model says: told from odometry while the camera moves.
+"""The scale of the measurement noise, from odometry while the camera moves.
 
-Two images some way apart say how the camera moved between them, and odometry says it better. Where the two differ by
-more than the errors of images allow, the errors are larger: in a part of the map that the held-out images did not show,
-or in another light; where they differ by less, smaller (innovation-based adaptive estimation; Mehra, 1970). An error
-that all images share does not show so.
+Two images some distance apart give the motion between them, and odometry gives it more exactly. Where the two differ by
+more than the noise allows, as in another light or in a part of the map that the held-out images did not show, the noise
+is larger than stated; where they differ by less, it is smaller (innovation-based adaptive estimation; Mehra, 1970). An
+error that all images share does not show.
 """
 
 from __future__ import annotations
@@ -24,26 +24,26 @@ from filtering.unchecked import unchecked_replace
 _APART = 2.0  # normalized distance between two images that are compared: nearer ones err alike
 _LEAST = 0.1  # of the variance
 _DRAWS = 20_000
-_OUTLIER = 6.0  # times the variance expected: further off is another place, or an image that errs in a way of its own
-_BELIEVED = 5.0  # comparisons that the model is worth before the first one
+_OUTLIER = 6.0  # times the variance expected: more is an outlier
+_BELIEVED = 5.0  # comparisons that the stated noise is worth
 _REMEMBERED = 50.0  # comparisons
 _LATELY = 5.0  # normalized distance that a belief's information comes from
 
 
 @dataclass(frozen=True)
 class ErrorScale:
-    """How much larger or smaller than modelled the variance of a camera's errors is.
+    """The factor of the variance of a source's noise.
 
     Attributes:
-        adapts: Whether odometry may say so.
+        adapts: Whether odometry may change it.
         place: world_from_camera by the image that the next one is compared with, one pose; None where there is none.
         covariance: Of its error, (6, 6).
         since: Motion of the camera since.
         normalized_distance: Of that motion, in lengths over which the errors of images are correlated.
-        total: Sum of the squared differences found, each over what the model expects of it.
+        total: Sum of the squared differences, each over its expectation.
         count: Their number; old ones are forgotten.
-        information: What an image told lately, over what one tells whose errors are as large as modelled: more where
-            images are like those of the training.
+        information: Of recent images, over that of one with the stated noise: more where images resemble the training
+            images.
     """
 
     adapts: bool = True
@@ -61,7 +61,7 @@ class ErrorScale:
         return max(_LEAST, self.total / self.count) if self.adapts else 1.0
 
     def applied(self, errors: ErrorModel) -> ErrorModel:
-        """The model as it is here, the least errors in proportion to those of the images lately."""
+        """The noise with this factor; constant errors in proportion to the information of recent images."""
         constant = errors.constant_fraction / max(self.information, 1e-3)
         return unchecked_replace(errors, constant_fraction=min(constant, 1e3)).inflated(self.factor)
 
@@ -96,7 +96,7 @@ class ErrorScale:
         nearest = int(np.argmin(squared))
         if squared[nearest] > _OUTLIER * max(1.0, self.factor):
             return self._from(posterior, heaviest)
-        # Where odometry says less than images, a difference tells of odometry.
+        # Where odometry is less exact than images, a difference shows the error of odometry.
         worth = float(np.trace(information[nearest] @ of_images[nearest])) / 6.0
         kept = min(1.0, _REMEMBERED / (self.count + worth))
         found = worth * float(squared[nearest]) / _usual(posterior.errors.tail)
@@ -110,7 +110,7 @@ class ErrorScale:
 
 @cache
 def _usual(tail: float) -> float:
-    """Usual where the model is true: mean of what is no outlier, of differences of two errors with such tails."""
+    """Mean square, without outliers, of the difference of two errors with such tails."""
     rng = np.random.default_rng(0)
     errors = rng.standard_normal((2, _DRAWS, 6)) / np.sqrt(rng.chisquare(tail, (2, _DRAWS, 1)) / tail)
     squared = np.square(errors[0] - errors[1]).sum(axis=1) / 12.0

@@ -1,8 +1,8 @@
-"""An image meets the belief: which hypothesis sees which of the image's places, and what each learns from it.
+"""Data association: which hypothesis sees which place of an image, its likelihood, and its correction.
 
 Sources: Chen and Liu, "Mixture Kalman filters", 2000 (particles that carry Gaussians); Roth, Özkan and Gustafsson, "A
 Student's t filter for heavy tailed process and measurement noise", 2013; Plummer, "Cuts in Bayesian graphical models",
-2015 (what an image says of details is cut off from the question which place it is).
+2015 (the details of a place do not decide which place it is).
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from filtering.se3 import Poses
 
 Of = TypeVar("Of")
 
-_GATE = 36.0  # squared, in standard deviations: pairs that are further apart are not looked at
+_GATE = 36.0  # squared, in standard deviations: pairs further apart are left out
 PLACE = 3.0
-"""Standard deviations of the error: details finer than that do not tell one place from another."""
+"""Standard deviations of the error: finer details do not distinguish places."""
 _LEAST = 1e-3  # fraction of a hypothesis that goes on as one of its own
-_UNUSUAL = 1.25  # a variance larger by so much than an ordinary image's is that of an image that errs in its own way
+_UNUSUAL = 1.25  # factor of the variance from which on the error is taken as one of its own
 
 
 class Pairs(NamedTuple):
@@ -35,7 +35,7 @@ class Pairs(NamedTuple):
         hypothesis, place: Indices, (p,).
         difference: Of the place from the hypothesis, in the tangent at it, (p, 6).
         measurement: The place as a measurement of the hypothesis's state.
-        expected: What the hypothesis expects of it.
+        expected: Its expectation by the hypothesis.
         squared: Squared Mahalanobis distance by the ordinary error, (p,).
         log_density: Of the place, as the hypothesis expects it, (p,).
     """
@@ -49,8 +49,8 @@ class Pairs(NamedTuple):
     log_density: Float64[np.ndarray, " p"]
 
 
-class Link(NamedTuple):
-    """How a source of places is linked to the belief.
+class Correlation(NamedTuple):
+    """With which earlier error the error of a source of places is correlated, and over which distance.
 
     Attributes:
         number: Of its correlated error in the state of a hypothesis.
@@ -62,12 +62,12 @@ class Link(NamedTuple):
 
 
 class Evidence(NamedTuple):
-    """What an image says about which hypothesis is right.
+    """The likelihood of the hypotheses, given an image.
 
     Attributes:
         log_likelihood: Of each hypothesis, from the log of the probability of an outlier to 0, (n,).
-        outlier: Probability that, were it right, the image would show none of its places to it, (n,).
-        agreement: The fraction of the belief that the image fits, in [0, 1].
+        outlier: Probability that, if it is right, no place of the image is the true one, (n,).
+        agreement: The fraction of the belief that fits the image, in [0, 1].
     """
 
     log_likelihood: Float64[np.ndarray, " n"]
@@ -75,23 +75,23 @@ class Evidence(NamedTuple):
     agreement: float
 
 
-def gate(belief: Hypotheses, posterior: PosePosterior, links: Sequence[Link]) -> list[Pairs]:
-    """The hypotheses and places that are near each other, for each source of places that the image has.
+def gate(belief: Hypotheses, posterior: PosePosterior, correlations: Sequence[Correlation]) -> list[Pairs]:
+    """Pairs of hypotheses and places that are near each other, for each source of places.
 
     Args:
         belief: n hypotheses.
         posterior: Of the image.
-        links: Of the camera's network, and of its landmarks where there is a map.
+        correlations: Of the camera's network, and of its landmarks where there is a map.
     """
     return [
-        _near_pairs(belief, posterior, source, link)
-        for source, link in enumerate(links)
+        _near_pairs(belief, posterior, source, correlation)
+        for source, correlation in enumerate(correlations)
         if source == 0 or len(posterior.sources[source])
     ]
 
 
 def evidence(belief: Hypotheses, posterior: PosePosterior, pairs: Sequence[Pairs]) -> Evidence:
-    """Which place: a hypothesis is as possible as the places near it are, where near leaves details aside."""
+    """Which place: a hypothesis is as possible as the places near it."""
     hypothesis, place, squared = (_joined(pairs, name) for name in ("hypothesis", "place", "squared"))
     near = posterior.support[place] * np.exp(-0.5 * squared / PLACE**2)
     support = np.bincount(hypothesis, near, minlength=len(belief))
@@ -108,8 +108,8 @@ def correct(
     """Where in the place: a hypothesis goes on as several, one for each place it may see, and one that sees none.
 
     Each is weighted by how likely that is, and corrected by its place like a Kalman filter; weights are not normalised.
-    A place that differs by more than images usually err is an image that errs in a way of its own: its error is taken
-    to be as large as that, to be independent of those of the images before, and to be correlated for as long as any.
+    A place that differs by more than usual has an error of its own, which is taken to be that large, independent of
+    earlier images, and correlated over as long a distance as any.
 
     Args:
         belief: n hypotheses, whose weights need not be normalised.
@@ -140,22 +140,22 @@ def pair(
     belief: Hypotheses,
     posterior: PosePosterior,
     source: int,
-    link: Link,
+    correlation: Correlation,
     hypothesis: Int64[np.ndarray, " p"],
     place: Int64[np.ndarray, " p"],
 ) -> Pairs:
     """Pairs of hypotheses and places of one source: each place as a measurement of the hypothesis's state.
 
-    What is measured is error of the pose + factor · correlated error + noise.
+    The measured value is error of the pose + factor · correlated error + noise.
 
     Args:
         belief: n hypotheses.
         posterior: Of the image.
         source: Of the places, see `PosePosterior.sources`.
-        link: Of the source.
+        correlation: Of the source.
         hypothesis, place: Indices, (p,).
     """
-    errors, own = posterior.errors_of(source), bias(link.number)
+    errors, own = posterior.errors_of(source), bias(correlation.number)
     difference = belief.poses[hypothesis].between(posterior.means[place]).log()
     lasting = belief.mean[:, slice(own.start - 6, own.stop - 6)][hypothesis]
     factor = np.sqrt(errors.lasting_fraction) * posterior.factors[place]
@@ -173,7 +173,7 @@ def pair(
     far = np.flatnonzero(larger > _UNUSUAL)
     if len(far):
         # Errors that are correlated over a distance of 2 are worth one image: those of an Ornstein-Uhlenbeck process.
-        lasts = max(1.0, 2.0 / max(link.normalized_distance, 1e-6))
+        lasts = max(1.0, 2.0 / max(correlation.normalized_distance, 1e-6))
         innovation[far], factor[far] = difference[far], 0.0
         noise[far] = larger[far, None, None] * lasts * posterior.covariances[place[far]]
         cross[far], information[far] = expect(belief.covariance, hypothesis[far], jacobian[:1], noise[far])
@@ -184,10 +184,10 @@ def pair(
 def corrected_poses(
     poses: Poses, places: Poses, pairs: Pairs, taken: Int64[np.ndarray, " c"], change: Float64[np.ndarray, "c 6"]
 ) -> Poses:
-    """Poses after a correction, from the pose before or from the place that was seen, whichever is nearer.
+    """Poses after a correction, from the pose before or from the place, whichever is nearer.
 
-    To first order both are one. The second order grows with how far the correction goes: a rotation of 0.01 rad that is
-    left of it, a kilometre away, is 10 m.
+    To first order both are equal. The second order grows with the correction: a rotation of 0.01 rad that remains of
+    it is 10 m a kilometre away.
 
     Args:
         poses: Of all hypotheses, batch (n,).
@@ -208,7 +208,7 @@ def corrected_poses(
     return start @ Poses.exp(np.where(from_place[:, None], left, change))
 
 
-def _near_pairs(belief: Hypotheses, posterior: PosePosterior, source: int, link: Link) -> Pairs:
+def _near_pairs(belief: Hypotheses, posterior: PosePosterior, source: int, correlation: Correlation) -> Pairs:
     places = posterior.sources[source]
     apart = belief.poses.squared_distances(posterior.means[places])
     variances = [each[places] for each in posterior.variances]
@@ -216,7 +216,7 @@ def _near_pairs(belief: Hypotheses, posterior: PosePosterior, source: int, link:
     hypothesis, k = np.nonzero(_within_gate(*metres) & _within_gate(*radians))
     place = places[k]
     parts = [
-        pair(belief, posterior, source, link, hypothesis[block], place[block])
+        pair(belief, posterior, source, correlation, hypothesis[block], place[block])
         for block in blocks(max(len(hypothesis), 1))
     ]
     return parts[0] if len(parts) == 1 else _concatenated(parts)
@@ -229,7 +229,7 @@ def _corrected(
     taken: Int64[np.ndarray, " c"],
     log_fraction: Float64[np.ndarray, " c"],
 ) -> Hypotheses:
-    """The hypotheses of some pairs, each corrected by its place and as much lighter as is said."""
+    """The hypotheses of some pairs, each corrected by its place, with its fraction of the weight."""
     parent = pairs.hypothesis[taken]
     change, covariance = kalman_update(
         belief.covariance, parent, _taken(pairs.measurement, taken), _taken(pairs.expected, taken)

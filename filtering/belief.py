@@ -1,4 +1,4 @@
-"""What the filter believes: all of its state in one value that never changes."""
+"""The state of the filter as one immutable value."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ class Belief:
     Attributes:
         random: Source of random draws. Nothing is drawn from it, but from a copy that the next belief keeps.
         hypotheses: Where the camera may be; None before the first image.
-        cameras: What is remembered of each camera, by its name.
-        best: The pose reported last, carried on by odometry, one pose; None before the first.
-        agreement: Of the latest images with the belief, in [0, 1].
+        cameras: The memory of each camera, by its name.
+        best: The best mode of the last estimate, moved by odometry since, one pose; None before the first.
+        agreement: Fraction of the belief that fits the latest images, in [0, 1].
         usual_agreement: The same over a longer time.
-        unseen_s: Seconds since an image with any places, or a foreign one.
+        unseen_s: Seconds since an image with any place, or one out of distribution.
         provisional: Whether the next informative image replaces the belief.
         normalized_distance: Of the first camera since the last image, in lengths over which its errors are correlated.
     """
@@ -40,11 +40,11 @@ class Belief:
     normalized_distance: float = 0.0
 
     def forgotten(self) -> Belief:
-        """Nothing is known."""
+        """An empty belief with the same source of random draws."""
         return Belief(self.random)
 
     def with_camera(self, name: str, camera: CameraMemory) -> Belief:
-        """The same with what is remembered of one camera."""
+        """The same with the memory of one camera replaced."""
         return unchecked_replace(self, cameras={**self.cameras, name: camera})
 
     @property

@@ -1,4 +1,4 @@
-"""How much of the belief is born from an image: the probability that the camera was carried off unnoticed.
+"""Birth probabilities: of a camera that was carried off unnoticed.
 
 Source: Thrun, Burgard and Fox, "Probabilistic robotics", 2005, § 8.3.3 (augmented Monte Carlo localization).
 """

@@ -1,4 +1,4 @@
-"""The cameras that a localizer sees through: what one says now, and what is remembered of it."""
+"""The cameras of a localizer: a view of one, and the memory of each."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from filtering.unchecked import unchecked_replace
 
 @dataclass(frozen=True)
 class View:
-    """What one camera of several says about one moment.
+    """One image of one camera.
 
     Attributes:
         posterior: Of its image.
         reference_from_camera: Its extrinsics: from the camera to the frame that is localized, one pose.
-        camera: Its name: the errors of one camera's images last, those of two are independent.
+        camera: Its name; errors are correlated among the images of one camera only.
     """
 
     posterior: PosePosterior
@@ -32,14 +32,14 @@ class View:
 
 @dataclass(frozen=True)
 class Source:
-    """Where places come from that err alike: a camera's network, or the landmarks that its images show.
+    """A source of places whose errors are correlated: the network of a camera, or the landmarks in its images.
 
     Attributes:
         number: Of its lasting error in the state of a hypothesis.
-        errors: How its places err.
+        errors: Noise of its places.
         tracker: Of the camera's motion, in lengths over which these errors are correlated.
-        place_tracker: Likewise, in lengths over which one place is mistaken for another.
-        scale: Whether its places err more or less than their model says.
+        place_tracker: Likewise, in lengths over which outliers are correlated.
+        scale: Of its noise, by odometry.
     """
 
     number: int
@@ -50,7 +50,7 @@ class Source:
 
     @staticmethod
     def first_seen(errors: ErrorModel, number: int, *, unknown: float, adapts: bool) -> Source:
-        """A source before its first place counts; the camera may have come so many lengths since any view before."""
+        """A source before its first place; the camera may have come `unknown` lengths since any earlier view."""
         tracker, place_tracker = (
             NoveltyTracker(lengths * errors.length_m, lengths * errors.length_rad, unknown=unknown)
             for lengths in (1.0, errors.mistaken_lengths)
@@ -59,12 +59,12 @@ class Source:
 
     @property
     def applied(self) -> ErrorModel:
-        """How its places err, as odometry has shown lately."""
+        """Noise of its places, scaled by what odometry has shown."""
         return self.scale.applied(self.errors)
 
     @property
     def unlinked(self) -> Source:
-        """The same where no image of before is compared with those that come."""
+        """The same without the image that the next one is compared with."""
         return replace(self, scale=replace(self.scale, place=None))
 
     def across_gap(self, distance_m: float, angle_rad: float) -> tuple[Source, float]:
@@ -81,18 +81,17 @@ class Source:
         return replace(self, tracker=tracker, place_tracker=place_tracker, scale=scale), moved
 
     def observe(self, posterior: PosePosterior) -> Source:
-        """After an image in which it has places."""
+        """After an image with places of this source."""
         scale = self.scale.observe(posterior, self.tracker.normalized_distance)
         return replace(self, tracker=self.tracker.observe()[0], scale=scale)
 
 
 @dataclass(frozen=True)
 class CameraMemory:
-    """A camera that was seen before.
+    """The memory of one camera.
 
     Attributes:
-        sources: Where its images' places come from, by the numbers of `PosePosterior.sources`: its network, and the
-            landmarks if there is a map.
+        sources: Of its places, by the numbers of `PosePosterior.sources`: its network, and landmarks if there is a map.
         reference_from_camera: Its extrinsics at its last image.
     """
 
@@ -101,20 +100,20 @@ class CameraMemory:
 
     @staticmethod
     def first_seen(view: View, number: int, *, unknown: float, adapts: bool) -> CameraMemory:
-        """A camera before its first image counts.
+        """A camera before its first image.
 
         Args:
             view: Its first.
             number: Of its first lasting error in the state.
-            unknown: How far the camera may have come since any view before, in lengths.
-            adapts: Whether odometry may say that its images err otherwise than modelled.
+            unknown: Distance that it may have come since any earlier view, in lengths.
+            adapts: Whether odometry scales its noise.
         """
         network = Source.first_seen(view.posterior.errors, number, unknown=unknown, adapts=adapts)
         camera = CameraMemory((network,), view.reference_from_camera)
         return camera.with_landmarks(view, number + 1, unknown=unknown, adapts=adapts)
 
     def with_landmarks(self, view: View, number: int, *, unknown: float, adapts: bool) -> CameraMemory:
-        """The same with landmarks as a second source, where there is a map of them and they are not one yet."""
+        """The same with landmarks as its second source, where there is a map and they are not one yet."""
         errors = view.posterior.errors.verified
         if errors is None or len(self.sources) > 1:
             return self
@@ -122,7 +121,7 @@ class CameraMemory:
 
     @property
     def errors(self) -> ErrorModel:
-        """How its images err, as odometry has shown lately."""
+        """Noise of its images, scaled by what odometry has shown."""
         network = self.sources[0].applied
         return network if len(self.sources) == 1 else unchecked_replace(network, verified=self.sources[1].applied)
 
@@ -132,7 +131,7 @@ class CameraMemory:
         return replace(self, sources=tuple(source for source, _ in after)), [moved for _, moved in after]
 
     def seen_through(self, reference_from_camera: Poses) -> CameraMemory:
-        """The same on its mount of now; where that was turned, no image of before is compared with those that come."""
+        """The same with these extrinsics; if they changed, the next image is compared with none before."""
         mount = self.reference_from_camera
         if mount is reference_from_camera or np.array_equal(mount.as_matrix(), reference_from_camera.as_matrix()):
             return self
@@ -146,18 +145,18 @@ class CameraMemory:
         return replace(self, sources=tuple(source for source, _ in after)), [moved for _, moved in after]
 
     def observe(self, posterior: PosePosterior) -> tuple[CameraMemory, float, float]:
-        """After an image; a source without a place in it has not observed.
+        """After an image; sources without a place in it stay as they are.
 
         Returns:
-            The camera, the novelty of the view, and how much of what the image says about the place was not said
-            before, both in [0, 1]: where landmarks verify a place, what they say.
+            The camera; the novelty of the view, in [0, 1]; and the power of the image's likelihood, in [0, 1]: its
+            novelty in lengths over which outliers are correlated, of landmarks where they verify a place.
         """
         after, novelty = [], []
         for number, source in enumerate(self.sources):
             has_places = len(posterior.sources[number]) > 0
             observes = has_places or number == 0
             place_tracker, new = source.place_tracker.observe() if observes else (source.place_tracker, 0.0)
-            source = source.observe(posterior.only(number)) if has_places else source
+            source = source.observe(posterior.of_source(number)) if has_places else source
             after.append(replace(source, place_tracker=place_tracker))
             novelty.append(new)
         return replace(self, sources=tuple(after)), novelty[0], novelty[1 if posterior.has_verified else 0]

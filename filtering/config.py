@@ -15,16 +15,16 @@ from filtering.resampling import Resampling
 
 Births = Literal["rate", "augmented-mcl"]
 
-_FARTHEST = 1e6  # metres or radians: further than that a gap leads nowhere in particular
+_FARTHEST = 1e6  # metres or radians, of a gap
 
 
 @dataclass(frozen=True)
 class GapConfig:
-    """What is assumed where odometry is missing."""
+    """Motion where odometry is missing."""
 
     action: Literal["widen", "forget"] = "widen"
-    """Widen the belief by a motion in an unknown direction, or start anew from the next image that says something:
-    until then the belief is widened and "lost"."""
+    """Widen the belief by a motion in an unknown direction, or also replace it by the next informative image; until
+    then it is "lost"."""
     speed_m_per_s: float = 1.4
     """Standard deviation of the speed along each axis; walking pace."""
     turn_rad_per_s: float = 0.5
@@ -41,56 +41,56 @@ class GapConfig:
 
 @dataclass(frozen=True)
 class LocalizerConfig:
-    """Settings of the filter; lengths follow from how the images err (`ErrorModel`).
+    """Settings of the filter; lengths follow from the measurement noise of the images (`ErrorModel`).
 
-    Whatever is stated in metres is also scaled in `vapor.benchmark.evaluation.lengths`.
+    Settings in metres are also scaled in `vapor.benchmark.evaluation.lengths`.
     """
 
     max_hypotheses: int = 50
-    """Particles that carry the belief, each a hypothesis with a Gaussian of its own: at most so many."""
+    """Largest number of particles, each a hypothesis with a Gaussian of its own."""
     kidnap_per_view: float = 3e-4
-    """The chance that the camera was carried elsewhere unnoticed, for every new view that fits the belief: so much of
-    the belief an image draws anew."""
+    """Probability that the camera was carried off unnoticed, for every new view that fits the belief: the weight of the
+    hypotheses that are born from it."""
     max_kidnap_per_view: float = 0.1
-    """The same for one that does not fit at all; between the two in equal ratios. 0 for both: never, where `births` is
+    """The same for a view that does not fit at all; in between, in equal ratios. Both 0: no births, where `births` is
     "rate"."""
     births: Births = "rate"
-    """Draw anew at those rates, or as in augmented Monte Carlo localization: only while images agree with the belief
-    less than usual."""
+    """Births at those rates, or as in augmented Monte Carlo localization, while images agree with the belief less than
+    usual."""
     adapt_errors: bool = True
-    """Take images to err more than their model says where odometry shows it."""
+    """Scale the measurement noise where odometry shows that images err more or less than it states."""
     merge_divergence: float = 0.5
-    """Hypotheses that differ by no more than this, in nats, are one."""
+    """Hypotheses that differ by no more than this are merged, nats."""
     least_weight: float = 1e-8
     """Hypotheses of smaller weight are dropped."""
     resampling: Resampling = "optimal"
-    """How hypotheses that are too many are chosen from: without bias and with the least variance, or the heaviest."""
+    """Resampling beyond `max_hypotheses`: unbiased with the least variance, or the heaviest ones."""
     converged_weight: float = 0.9
     """Status is "converged" from this weight of the best mode on."""
     converged_std: float = 3.0
-    """And with at most this standard deviation of its position along its widest axis, in those of an ordinary image's
-    error; of a verified place's where there is a map of landmarks, or the geometric mean of both errors."""
+    """And with at most this standard deviation of its position along its widest axis, in standard deviations of an
+    ordinary image's error. With a map of landmarks: of a verified place's, or the geometric mean of both errors."""
     converged_std_m: float | None = None
     """The same in metres, instead."""
     converged_map_fraction: float = 0.5
-    """And at most this fraction of the size of the map (`ErrorModel.map_size_m`): to know no more than the room is to
-    know nothing."""
+    """And at most this fraction of the size of the map (`ErrorModel.map_size_m`): a map-wide belief is not
+    converged."""
     converged_agreement: float = 0.7
-    """And while the latest images fit at least this fraction of what they could of the belief."""
+    """And while at least this fraction of the belief fits the latest images."""
     lost_agreement: float = 0.3
-    """Status is "lost" while they fit less than this."""
+    """Status is "lost" while less than this fits."""
     agreement_s: float = 1.0
     """Time over which that is averaged, seconds."""
     agreement_images: int = 5
-    """And so many images at least: one that comes a second after the other does not decide alone."""
+    """Least number of images over which it is averaged."""
     switch_ratio: float = 1.5
-    """Another mode becomes the best one when it outweighs the present best by this factor."""
+    """Another mode becomes the best one when its weight exceeds that of the best by this factor."""
     slow_errors: SlowErrors = field(default_factory=lambda: SlowErrors(relative_drift=0.6))
-    """Errors of the odometry that last."""
+    """Scale error and drift of the odometry."""
     gap: GapConfig = field(default_factory=GapConfig)
-    """What is assumed where odometry is missing."""
+    """Motion where odometry is missing."""
     modes: ModeConfig = field(default_factory=ModeConfig)
-    """What counts as one place."""
+    """Which hypotheses are reported as one mode."""
 
     def __post_init__(self) -> None:
         require_within(

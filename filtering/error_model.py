@@ -1,4 +1,4 @@
-"""How an image's posterior errs: how far, how heavy the tails, and for how long the same way."""
+"""Measurement noise: how far the poses of an image err, with which tails, and how errors are correlated."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from filtering.unchecked import unchecked_replace
 Six = tuple[float, float, float, float, float, float]
 
 LEAST_SCORE, FOREIGN = 0.05, 1.0
-"""Scores of how unlike its training data an image is: nothing is told apart below the one, and an image above the other
-is of another place."""
+"""Limits of scores: below the first, images count as equally close to the training images; above the second, an image
+is out of distribution."""
 
 
 @dataclass(frozen=True)
@@ -23,8 +23,9 @@ class ErrorModel:
 
     A cluster of posterior samples with covariance C stands for a place whose error has covariance Σ = spread · C +
     diag(floor²) and the tails of a Student t distribution. Of the error's variance a fraction lasts while the view
-    stays the same, and fades as the camera moves and turns (an Ornstein-Uhlenbeck process along the way); another
-    fraction never fades; the rest is new with every image. So neither standing nor a higher rate buys certainty.
+    stays the same, and fades as the camera moves and turns (an Ornstein-Uhlenbeck process along the path); another
+    fraction never fades; the rest is independent from image to image. So neither standing nor a higher rate adds
+    certainty.
 
     Tuples are (x, y, z) along and about the camera's axes, metres and radians.
     """
@@ -36,37 +37,35 @@ class ErrorModel:
     spread: float = 1.0
     """Variance of the error over that of the cluster's samples."""
     floor: Six = (0.05, 0.05, 0.05, 0.03, 0.03, 0.03)
-    """Standard deviations of what the samples do not show."""
+    """Standard deviations of the error that the samples do not show."""
     tail: float = 6.0
     """Degrees of freedom of the Student t distribution; the fewer, the heavier the tails."""
     outlier_probability: float = 0.05
-    """Probability that an image says nothing about where the camera is."""
+    """Probability that no place of an image is the true one."""
     flat_log_density: float = -6.0
-    """Log density of poses spread evenly over the map, per m³ rad³: where the camera is when an image says nothing."""
+    """Log density of poses spread evenly over the map, per m³ rad³: of the true pose of an outlier."""
     possible_fraction: float = 0.05
-    """A place with this fraction of the samples counts half as possible as one with all of them: a network that learned
-    from its best samples knows which places are possible, but not how likely each is."""
+    """A place with this fraction of the samples counts half as possible as one with all of them. A network that learned
+    from its best samples knows the possible places, but not their probabilities."""
     lasting_fraction: float = 0.7
-    """Fraction of the error's variance that lasts while the view stays the same."""
+    """Fraction of the error's variance that is the same for images of the same view."""
     length_m: float = 0.5
-    """Distance over which that fades to 1/e, and a view becomes a new one, metres."""
+    """Distance over which that correlation falls to 1/e, and a view becomes a new one, metres."""
     length_rad: float = 0.4
-    """Likewise the angle, radians."""
+    """Angle over which it does, radians."""
     mistaken_lengths: float = 1.0
-    """Over so many of these lengths one image's mistake about the place is the next one's: what takes one floor for
-    another does so along all of a corridor; less than 1 where mistakes fade sooner than errors."""
+    """Number of these lengths over which outliers are correlated: a network that takes one corridor for another does so
+    along all of it. Less than 1 where outliers fade sooner than errors."""
     constant_fraction: float = 0.1
-    """Fraction of the typical variance below which no number of images brings the uncertainty of a pose."""
+    """Fraction of the typical variance that remains however many images there are."""
     unfamiliar_power: float = 0.0
-    """How errors grow with how unlike its training data an image is: standard deviations with this power of its score
-    (`PosePosterior.unfamiliarity`)."""
+    """Standard deviations grow with this power of an image's score (`PosePosterior.unfamiliarity`)."""
     unfamiliar_score: float = 0.5
-    """The score of an image whose errors are as large as said here."""
+    """The score of an image whose errors are as large as stated here."""
     typical_std: Six = (0.07, 0.07, 0.07, 0.04, 0.04, 0.04)
-    """Standard deviations of the error of an ordinary image: what makes a place, a mode, a converged estimate."""
+    """Standard deviations of the error of an ordinary image; places, modes and convergence are measured by them."""
     verified: ErrorModel | None = None
-    """How places err that landmarks have verified: their spread, floor, tails, and how long that lasts; None without a
-    map of landmarks."""
+    """Noise of the places that landmarks have verified; None without a map of landmarks."""
 
     def __post_init__(self) -> None:
         require_within(
@@ -94,30 +93,25 @@ class ErrorModel:
             raise VaporTrackError("verified places have verified places of their own, expected None")
 
     def covariance(self, samples: Float64[np.ndarray, "k 6 6"]) -> Float64[np.ndarray, "k 6 6"]:
-        """Covariance Σ of the errors of clusters of samples with these covariances."""
+        """Covariances Σ of the errors of clusters with these covariances of samples."""
         return self.spread * samples + np.diag(np.square(self.floor))
 
     def growth(self, unfamiliarity: float) -> float:
-        """How much larger the variances of an image with this score are than those of the model; 0 is no score."""
+        """Factor of the variances of an image with this score; 0 is no score."""
         if unfamiliarity == 0.0:
             return 1.0
         score = min(max(unfamiliarity, LEAST_SCORE), FOREIGN)
         return float((score / self.unfamiliar_score) ** (2.0 * self.unfamiliar_power))
 
     @property
-    def least_covariance(self) -> Float64[np.ndarray, "6 6"]:
-        """What is added to every belief at least: the errors that no number of images takes away."""
-        return self.constant_covariance(np.zeros((6, 6)))
-
-    @property
     def finest(self) -> ErrorModel:
-        """Of the most exact places that images have: verified ones where there is a map of landmarks."""
+        """Noise of the most exact places: verified ones where there is a map of landmarks."""
         return self.verified or self
 
     def ordinary_std(self, covariance: Float64[np.ndarray, "*n 6 6"]) -> Float64[np.ndarray, "*n 6"]:
-        """What counts as an ordinary error where a pose is known with a covariance (any batch).
+        """Standard deviations of an ordinary error beside a pose with this covariance (any batch).
 
-        With a map of landmarks: as much as is unknown, at least the error of a verified place, at most that of another.
+        With a map of landmarks they are those of the pose, at least of a verified place, at most of another place.
         """
         if self.verified is None:
             return np.broadcast_to(np.asarray(self.typical_std), covariance.shape[:-1])
@@ -126,17 +120,17 @@ class ErrorModel:
         return np.clip(std, finest, np.maximum(finest, self.typical_std))
 
     def constant_covariance(self, covariance: Float64[np.ndarray, "*n 6 6"]) -> Float64[np.ndarray, "*n 6 6"]:
-        """What is added to a belief with this covariance: the errors that no number of images takes away."""
+        """Covariance of the constant errors, which is added to a belief with this covariance (any batch)."""
         variances = self.finest.constant_fraction * np.square(self.ordinary_std(covariance))
         return variances[..., None] * np.eye(6)
 
     @property
     def map_size_m(self) -> float:
-        """Edge of a cube that holds as much as the map, metres; orientations are taken to be all."""
+        """Edge of a cube of the same volume as the map, metres, if all orientations occur."""
         return float(np.exp(-self.flat_log_density) / (8.0 * np.pi**2)) ** (1.0 / 3.0)
 
     def inflated(self, factor: float) -> ErrorModel:
-        """The same with variances that are larger by a factor."""
+        """The same with variances times a factor."""
         if factor == 1.0:
             return self
         root = float(np.sqrt(factor))

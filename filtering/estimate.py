@@ -1,4 +1,4 @@
-"""Belief -> Estimate: the hypotheses as modes, with weight and covariance, and how sure they are."""
+"""The estimate of a belief: its modes, each with weight and covariance, and its status."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Mode:
         world_from_camera: One pose, the mean of the mode.
         covariance: Covariance of ξ = (v, ω), metres and radians, in the tangent at the mode (camera frame).
         weight: Fraction of the belief, in [0, 1].
-        verified: Whether it is a place of one image that landmarks have verified.
+        verified: Whether it is a place of one image, verified by landmarks.
     """
 
     world_from_camera: Poses
@@ -44,18 +44,19 @@ class Mode:
 
 @dataclass(frozen=True)
 class ModeConfig:
-    """What counts as one place, in standard deviations of an ordinary image's error (`ErrorModel.typical_std`)."""
+    """Which hypotheses make one mode, in standard deviations of an ordinary image's error
+    (`ErrorModel.typical_std`)."""
 
     radius: float = 8.0
     """Hypotheses within so many standard deviations of a heavier one, along each axis, are one mode."""
     least_rad: float = 0.2
-    """But at least within this angle, radians."""
+    """The angle is at least this, radians."""
     most_rad: float = 0.6
-    """And at most."""
+    """And at most this, radians."""
     max_modes: int = 12
-    """No more hypotheses than this are reported."""
+    """Largest number of modes."""
     min_weight: float = 0.02
-    """Hypotheses of smaller weight are not reported."""
+    """Modes of smaller weight are not reported."""
 
     def __post_init__(self) -> None:
         require_within(
@@ -80,10 +81,10 @@ class ModeConfig:
 
 @dataclass(frozen=True)
 class Estimate:
-    """What the filter believes after one moment.
+    """The estimate after one step.
 
     Attributes:
-        modes: Hypotheses; the first is the best one reported, the others follow by falling weight.
+        modes: The best one first, the others by falling weight.
         status: "converged" when one narrow mode holds most of the belief and the latest images fit it,
             "lost" when these fit nothing in it, "ambiguous" otherwise.
         particles: All hypotheses, world_from_camera, batch (n,): Rao-Blackwellised particles, each the middle of a
@@ -91,7 +92,7 @@ class Estimate:
         covariances: Of each, of ξ = (v, ω) in the tangent at it, (n, 6, 6).
         log_weights: Their normalised log weights, (n,).
         agreement: Share of the belief that the latest images fitted, in [0, 1].
-        novelty: How much of what the image says was not said by the images before it, in [0, 1].
+        novelty: Fraction of the image's information that earlier images lack, in [0, 1].
         normalized_distance: That the camera moved since the image before, in lengths over which the errors of its
             images are correlated.
         unfamiliarity: Of the image, see `PosePosterior`; 0 where there was none.
@@ -113,7 +114,7 @@ class Estimate:
         return float(1.0 / np.exp(2.0 * self.log_weights).sum())
 
     def cloud(self, count: int) -> Poses:
-        """Poses (count,) that stand for the belief with equal weight: the same for the same belief."""
+        """Poses (count,) of equal weight that represent the belief; equal for equal beliefs."""
         cumulative = np.cumsum(np.exp(self.log_weights))
         steps = (np.arange(count) + 0.5) / count * cumulative[-1]
         which = np.minimum(np.searchsorted(cumulative, steps), len(self.log_weights) - 1)
@@ -124,10 +125,10 @@ class Estimate:
 
 
 def describe_modes(belief: Hypotheses, errors: ErrorModel, config: ModeConfig) -> tuple[Mode, ...]:
-    """The hypotheses that count, by falling weight; at least one.
+    """The modes of a belief, by falling weight; at least one.
 
-    The heaviest hypothesis takes those in its place, then the heaviest of the rest, and so on. Mean and covariance are
-    over a mode's own hypotheses only, with the errors that no number of images takes away.
+    The heaviest hypothesis takes those in its reach, then the heaviest of the rest, and so on. Mean and covariance are
+    over a mode's own hypotheses only, with the constant errors added.
     """
     weights = belief.weights
     least = min(config.min_weight, float(weights.max()))

@@ -1,4 +1,4 @@
-"""The belief: Rao-Blackwellised particles, each a hypothesis with a Gaussian over all that is uncertain about it.
+"""Rao-Blackwellised particles: each is a hypothesis with a Gaussian over its pose, odometry bias and correlated errors.
 
 Sources: Doucet, de Freitas, Murphy and Russell, "Rao-Blackwellised particle filtering for dynamic Bayesian networks",
 2000; Solà, Deray and Atchuthan, "A micro Lie theory for state estimation in robotics", 2018 (error states on SE(3)).
@@ -20,18 +20,18 @@ from filtering.se3 import Poses
 from filtering.unchecked import unchecked_replace
 
 POSE, SLOW = slice(0, 6), slice(6, 13)
-"""Where in a state the error of the pose is, and where the slow errors of odometry: scale, and drift of each axis."""
+"""Parts of a state: the error of the pose, and the slow errors of odometry (scale, and drift of each axis)."""
 
 _BLOCK = 256
 
 
 def bias(source: int) -> slice:
-    """Where in a state the lasting error of a source of places is, in units of the error's own square root."""
+    """The part of a state with the correlated error of a source of places, in units of the error's square root."""
     return slice(13 + 6 * source, 19 + 6 * source)
 
 
 def blocks(count: int) -> Iterator[slice]:
-    """So many hypotheses in blocks whose covariances fit into a processor's cache: many are faster one by one."""
+    """Blocks of hypotheses whose covariances fit into a processor's cache."""
     return (slice(start, start + _BLOCK) for start in range(0, count, _BLOCK))
 
 
@@ -126,17 +126,17 @@ def birth(
     belief: Hypotheses | None,
     landmarks: int | None = None,
 ) -> Hypotheses:
-    """A hypothesis for each place of a posterior, as if nothing else were known about where the camera is.
+    """A hypothesis for each place of a posterior, weighted by how possible the place is.
 
-    What is known of the odometry's errors comes from the heaviest hypothesis of the belief, if there is one: they do
-    not depend on where the camera is. Weights are in proportion to how possible the places are.
+    The odometry bias is that of the heaviest hypothesis of the belief, if there is one: it does not depend on the
+    place.
 
     Args:
         posterior: Of an image.
         camera: The number of the lasting error of the camera that took it.
         num_sources: How many lasting errors a state has.
         slow: Of the odometry.
-        belief: Of before; None where there is none.
+        belief: Present hypotheses; None where there are none.
         landmarks: The number of the lasting error of verified places; None where there are none.
     """
     count, size = len(posterior.weights), 13 + 6 * num_sources
@@ -161,14 +161,14 @@ def birth(
 
 
 def without_bias(covariance: Float64[np.ndarray, "n d d"], camera: int) -> Float64[np.ndarray, "n d d"]:
-    """Covariances of states whose poses do not err as the images of a camera do."""
+    """Covariances of states whose poses are not correlated with the errors of a camera."""
     apart = covariance.copy()
     apart[:, POSE, bias(camera)] = apart[:, bias(camera), POSE] = 0.0
     return apart
 
 
 def with_source(hypotheses: Hypotheses) -> Hypotheses:
-    """The same with the lasting error of one more source, of which nothing is known, at the end of the state."""
+    """The same with the correlated error of one more source, which is unknown, at the end of the state."""
     count, size = hypotheses.covariance.shape[:2]
     covariance = np.zeros((count, size + 6, size + 6))
     covariance[:, :size, :size] = hypotheses.covariance

@@ -1,7 +1,7 @@
 """The single-hypothesis baseline: an error-state Kalman filter on SE(3), the linear algebra by filterpy.
 
-It knows all that the particle filter knows about errors: the covariances of an image's places, that a fraction of an
-image's error lasts, heavy tails, slow errors of odometry. What it lacks is a second hypothesis.
+It has the same noise as the particle filter: covariances of an image's places, correlated errors, heavy tails, slow
+errors of odometry. It lacks a second hypothesis.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from filterpy.kalman import KalmanFilter
 from jaxtyping import Float64
 from scipy.special import fdtri
 
-from filtering.association import Link, corrected_poses, pair
+from filtering.association import Correlation, corrected_poses, pair
 from filtering.cameras import CameraMemory, Source
 from filtering.config import GapConfig, LocalizerConfig
 from filtering.error_model import ErrorModel
@@ -34,15 +34,15 @@ class KalmanConfig:
     """Settings of the baseline."""
 
     gate_probability: float = 0.99
-    """A place outside the region of this probability is taken for another one."""
+    """Places outside the region of this probability are rejected."""
     rejected_s: float = 2.0
-    """After images without a place inside it for so many seconds, the filter starts anew, seconds."""
+    """The filter restarts after rejecting images for so long, seconds."""
     adapt_errors: bool = True
-    """Take images to err more than their model says where odometry shows it."""
+    """As of the particle filter, see `LocalizerConfig`."""
     slow_errors: SlowErrors = field(default_factory=lambda: LocalizerConfig().slow_errors)
-    """Errors of the odometry that last; the filter's."""
+    """Scale error and drift of the odometry; as of the particle filter."""
     gap: GapConfig = field(default_factory=GapConfig)
-    """What is assumed where odometry is missing."""
+    """Motion where odometry is missing."""
 
     def __post_init__(self) -> None:
         require_within(self, gate_probability=(1e-6, 0.999999), rejected_s=(0.0, 1e9))
@@ -60,7 +60,7 @@ class KalmanLocalizer:
         self._pose: Poses | None = None
         self._filter = KalmanFilter(dim_x=19, dim_z=6)
         self._sources: tuple[Source, ...] = ()
-        self._provisional = False  # the next image that says something is where it starts anew
+        self._provisional = False  # whether the next informative image restarts it
         self._rejected_s: float | None = None  # since the first of the images rejected in a row
 
     def update(self, posterior: PosePosterior, odom: Odometry | None, *, elapsed_s: float = 1.0) -> Mode:
@@ -73,7 +73,7 @@ class KalmanLocalizer:
             elapsed_s: Seconds since the previous image; used where `odom` is None.
 
         Returns:
-            The one hypothesis, weight 1, with the errors that no number of images takes away.
+            The one hypothesis, weight 1, with the constant errors added.
 
         Raises:
             VaporTrackError: the odometry is none (`require_odometry`), the elapsed time is negative, or the posterior
@@ -83,7 +83,7 @@ class KalmanLocalizer:
             require_odometry(odom)
         require_duration(elapsed_s)
         if self._pose is None and len(posterior.weights) == 0:
-            raise VaporTrackError("the first image says nothing about where the camera is, expected one that does")
+            raise VaporTrackError("the first image has no place, expected one with at least one")
         if odom is None and self.config.gap.action == "forget":
             self._provisional = True
         if self._pose is None or (self._provisional and not posterior.says_nothing):
@@ -92,13 +92,15 @@ class KalmanLocalizer:
             self._predict(self._pose, odom, elapsed_s)
             if not posterior.says_nothing:
                 self._know(posterior.errors)
-                links = [Link(source.number, source.tracker.normalized_distance) for source in self._sources]
+                correlations = [
+                    Correlation(source.number, source.tracker.normalized_distance) for source in self._sources
+                ]
                 self._sources = tuple(
-                    source.observe(posterior.only(number)) if len(posterior.sources[number]) else source
+                    source.observe(posterior.of_source(number)) if len(posterior.sources[number]) else source
                     for number, source in enumerate(self._sources)
                 )
                 posterior = posterior.inflated(*(source.scale.factor for source in self._sources))
-                if not self._correct(posterior, links):
+                if not self._correct(posterior, correlations):
                     self._reject(posterior, elapsed_s if odom is None else odom.duration_s)
         pose, covariance = self._pose, self._filter.P[POSE, POSE]
         assert pose is not None
@@ -106,7 +108,7 @@ class KalmanLocalizer:
         return Mode(pose, covariance + errors.constant_covariance(covariance), 1.0)
 
     def _know(self, errors: ErrorModel) -> None:
-        """Make room for the errors of landmarks where there is a map of them now."""
+        """Add the correlated errors of landmarks to the state where there is a map of them."""
         if errors.verified is None or len(self._sources) > 1 or self._pose is None:
             return
         landmarks = Source.first_seen(errors.verified, 1, unknown=1.0, adapts=self.config.adapt_errors)
@@ -121,7 +123,7 @@ class KalmanLocalizer:
         return Hypotheses(Poses(pose.rotation[None], pose.translation[None]), mean, covariance, np.zeros(1))
 
     def _start(self, posterior: PosePosterior, before: Hypotheses | None) -> None:
-        """Begin at the image's heaviest place; what is known of the odometry is kept."""
+        """Start at the image's heaviest place; the odometry bias is kept."""
         known, adapts = self._sources, self.config.adapt_errors
         errors = [posterior.errors, *([posterior.errors.verified] if posterior.errors.verified else [])]
         self._sources = tuple(
@@ -157,23 +159,23 @@ class KalmanLocalizer:
         settle(self._filter.P)
         self._fold((pose @ odom.previous_from_current).orthonormal())
 
-    def _correct(self, posterior: PosePosterior, links: Sequence[Link]) -> bool:
-        """Take the nearest place for what the image shows, if it is near enough; returns whether it is.
+    def _correct(self, posterior: PosePosterior, correlations: Sequence[Correlation]) -> bool:
+        """Correct by the nearest place, if it is inside the gate; returns whether it is.
 
         Args:
             posterior: Of the image.
-            links: Of each source of places.
+            correlations: Of each source of places.
         """
         pose = self._pose
         assert pose is not None
         hypothesis, nearest = self._hypothesis(pose), None
-        for source, link in enumerate(links):
+        for source, correlation in enumerate(correlations):
             places = posterior.sources[source]
             if len(places) == 0:
                 continue
-            pairs = pair(hypothesis, posterior, source, link, np.zeros(len(places), np.int64), places)
+            pairs = pair(hypothesis, posterior, source, correlation, np.zeros(len(places), np.int64), places)
             k = int(np.argmin(pairs.squared))
-            # A verified place inside its gate says more than one that the network proposes.
+            # A verified place inside its gate is preferred to one of the network.
             if pairs.squared[k] <= _gate(self.config.gate_probability, posterior.errors_of(source).tail):
                 nearest = pairs, k
         if nearest is None:
@@ -199,7 +201,7 @@ class KalmanLocalizer:
             self._start(posterior, self._hypothesis(self._pose))
 
     def _fold(self, pose: Poses) -> None:
-        """Put the error of the pose into the pose."""
+        """Fold the error of the pose into the pose."""
         change: Float64[np.ndarray, " 6"] = self._filter.x[POSE, 0]
         self._pose = pose @ Poses.exp(change)
         self._filter.x[POSE] = 0.0

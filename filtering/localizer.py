@@ -19,7 +19,7 @@ from filtering.hypotheses import without_bias
 from filtering.motion import Odometry
 from filtering.posterior import ObservationModel, PosePosterior
 from filtering.se3 import Poses
-from filtering.step import describe, initialize, known, step
+from filtering.step import describe, hypotheses_of, initialize, step
 
 _ONLY = "camera"
 
@@ -34,7 +34,7 @@ class ParticleLocalizer:
 
     Attributes:
         model, config: As given.
-        belief: All that is known; each step replaces it. Where a step fails it is as before.
+        belief: The state of the filter; each step replaces it. A step that fails leaves it as before.
     """
 
     def __init__(
@@ -51,13 +51,13 @@ class ParticleLocalizer:
 
         Args:
             image: RGB, uint8, (H, W, 3).
-            odom: Motion of the camera since the previous step. On the first step there is no previous image, and it
-                is not used. None on a later step means that the motion is unknown: see `GapConfig`.
+            odom: Motion of the camera since the previous step; not used on the first one. None on a later step means
+                that the motion is unknown: see `GapConfig`.
             elapsed_s: Seconds since the previous step; used where `odom` is None.
 
         Raises:
             VaporTrackError: the image is refused by the model, or as `update`. The localizer is then as it was before,
-                so a step that is tried again with good input gives what it would have given.
+                so the step can be repeated with good input.
         """
         posterior, model_rng = self._observed(image)
         estimate = self.update(posterior, odom, elapsed_s=elapsed_s)
@@ -68,8 +68,8 @@ class ParticleLocalizer:
         """The posterior of one image (H, W, 3), uint8 RGB: the first half of `step`, one call of the model.
 
         An image that equals the one before, pixel by pixel, comes from a camera that froze, and is uninformative: no
-        two exposures are equal. It stays as unlike the training images as it is: a black one is foreign however often
-        it comes. Only uint8 images are checked for repeats.
+        two exposures are equal. Its score stays: a black image is out of distribution however often it comes. Only
+        uint8 images are checked for repeats.
 
         Raises:
             VaporTrackError: there is no model, or it refuses the image.
@@ -90,12 +90,11 @@ class ParticleLocalizer:
     def update(
         self, seen: PosePosterior | Sequence[View], odom: Odometry | None, *, elapsed_s: float = 1.0
     ) -> Estimate:
-        """Localize one moment whose posterior is at hand: the second half of `step`.
+        """Localize one moment by a posterior: the second half of `step`.
 
         Args:
-            seen: What the camera says, or what several cameras of one moment say.
-            odom: Motion since the previous step of what is localized: the camera, or with several the frame that their
-                extrinsics lead to.
+            seen: The posterior of the camera's image, or views of several cameras at one moment.
+            odom: Motion since the previous step of the camera, or of the frame that the extrinsics of several lead to.
             elapsed_s: Seconds since the previous step; used where `odom` is None.
 
         Raises:
@@ -125,7 +124,7 @@ class ParticleLocalizer:
         return estimate
 
     def predicted(self, odom: Odometry | None, *, elapsed_s: float = 0.0) -> Estimate:
-        """What `predict` would give; the belief stays as it is."""
+        """The estimate that `predict` would give; the belief stays."""
         return self._later(odom, elapsed_s)[1]
 
     def _later(self, odom: Odometry | None, elapsed_s: float) -> tuple[Belief, Estimate]:
@@ -140,12 +139,12 @@ class ParticleLocalizer:
     def start_at(
         self, world_from_camera: Poses, covariance: Float64[np.ndarray, "6 6"], errors: ErrorModel
     ) -> Estimate:
-        """Start where somebody states that the camera is.
+        """Start at a stated pose.
 
         Args:
             world_from_camera: One pose.
             covariance: Of ξ = (v, ω), metres and radians, in the tangent at the pose; positive definite.
-            errors: How the images to come err.
+            errors: Noise of the images to come.
 
         Raises:
             VaporTrackError: the pose or its covariance is none. The localizer is then as it was before.
@@ -154,8 +153,8 @@ class ParticleLocalizer:
         stated = PosePosterior(pose, np.asarray(covariance, np.float64)[None], np.ones(1), errors, pose)
         view = View(stated, Poses.identity(), _ONLY)
         begun = initialize(self.belief.forgotten(), [view], self.config)
-        hypotheses = known(begun)
-        # What was stated errs in its own way, not as the images do.
+        hypotheses = hypotheses_of(begun)
+        # The error of the stated pose is not correlated with those of the images.
         apart = replace(hypotheses, covariance=without_bias(hypotheses.covariance, 0))
         belief, estimate = describe(replace(begun, hypotheses=apart), [], 0.0, self.config)
         self.belief, self._last_image = belief, None

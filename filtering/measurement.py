@@ -1,6 +1,6 @@
 """A measurement of the state and the Kalman update that it gives, for many hypotheses at once.
 
-Whatever is measured is an innovation, a Jacobian and a noise: a place that an image shows, and what comes next.
+A measurement is an innovation, a Jacobian and a noise, whether of a place in an image or of anything else.
 Source: Solà, Deray and Atchuthan, "A micro Lie theory for state estimation in robotics", 2018 (error states on SE(3)).
 """
 
@@ -34,7 +34,7 @@ class Measurement(NamedTuple):
 
 
 class Expected(NamedTuple):
-    """What p hypotheses expect of a measurement.
+    """The expectation of p measurements by their hypotheses.
 
     Attributes:
         cross: Covariance of state and innovation, P Jᵀ, (p, d, k).
@@ -48,11 +48,11 @@ class Expected(NamedTuple):
 def expect(
     covariance: Float64[np.ndarray, "n d d"], hypothesis: Int64[np.ndarray, " p"], jacobian: Jacobian, noise: np.ndarray
 ) -> Expected:
-    """What is expected of measurements.
+    """The expectation of measurements.
 
     Args:
         covariance: Of the states of n hypotheses.
-        hypothesis: Whose state each measurement is of.
+        hypothesis: Index of the hypothesis of each measurement.
         jacobian: Of the measurements.
         noise: Their covariance, (p, k, k).
     """
@@ -72,14 +72,14 @@ def kalman_update(
     """The change of the state that each measurement makes, and the covariance after it, in Joseph's form.
 
     P − K Jᵀ loses all digits of a measurement that is some 10⁷ times more precise than the belief. (I − K J) P
-    (I − K J)ᵀ + K R Kᵀ does not; that is U − (U Jᵀ − K R) Kᵀ with U = P − K (P Jᵀ)ᵀ, of which the product in brackets
-    is what rounding left in U.
+    (I − K J)ᵀ + K R Kᵀ does not; that is U − (U Jᵀ − K R) Kᵀ with U = P − K (P Jᵀ)ᵀ, where the product in brackets
+    is the rounding error in U.
 
     Args:
         covariance: Of the states of n hypotheses.
-        hypothesis: Whose state each of p measurements is of.
+        hypothesis: Index of the hypothesis of each of p measurements.
         measurement: The measurements.
-        expected: What `expect` gives for them.
+        expected: From `expect`.
     """
     cross = expected.cross
     gain = cross @ expected.information

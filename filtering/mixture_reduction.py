@@ -1,4 +1,4 @@
-"""Fewer hypotheses that say the same: merged, pruned, resampled.
+"""Mixture reduction: hypotheses merged, pruned, resampled.
 
 Sources: Runnalls, "Kullback-Leibler approach to Gaussian mixture reduction", 2007; Fearnhead and Clifford, "On-line
 inference for hidden Markov models via particle filters", 2003.
@@ -14,7 +14,7 @@ from filtering.moments import mixture_moments
 from filtering.resampling import RESAMPLING, Resampling
 from filtering.se3 import Poses
 
-_NEAR = 4.0  # squared, in standard deviations: further apart no two hypotheses are one
+_NEAR = 4.0  # squared, in standard deviations: hypotheses further apart are not merged
 
 
 def reduce_mixture(
@@ -26,7 +26,7 @@ def reduce_mixture(
     resampling: Resampling,
     rng: np.random.Generator,
 ) -> Hypotheses:
-    """Merge, prune and resample hypotheses; those that are left come by falling weight.
+    """Merge, prune and resample hypotheses; the result is sorted by falling weight.
 
     A hypothesis is merged into a heavier one that describes its pose as well: the Kullback-Leibler divergence of its
     Gaussian from the other's is small. Merging keeps mean and covariance. Hypotheses lighter than `least_weight` are
@@ -34,9 +34,9 @@ def reduce_mixture(
 
     Args:
         hypotheses: With normalised weights, (n,).
-        divergence: At most, nats.
+        divergence: Largest one of a merge, nats.
         least_weight: As a fraction of all weight.
-        most: How many at most.
+        most: Largest number of hypotheses.
         resampling: Name of a way to resample, see `RESAMPLING`.
         rng: Source of its draws.
     """

@@ -1,4 +1,4 @@
-"""Mean and covariance of weighted poses, and of Gaussians, group by group; covariances that rounding leaves some."""
+"""Mean and covariance of weighted poses and of mixtures of Gaussians, and covariances despite rounding."""
 
 from __future__ import annotations
 
@@ -8,15 +8,14 @@ from jaxtyping import Float64, Int64
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses, nearest_rotation
 
-_ROUNDING = 1e-12  # of a variance: some thousand times what double precision loses in a product of states' covariances
+_ROUNDING = 1e-12  # of a variance: a thousand times the error of double precision in a product
 
 
 def settle(covariance: Float64[np.ndarray, "*n d d"], before: Float64[np.ndarray, "*n d"] | None = None) -> None:
-    """Make covariances, in place, symmetric and positive definite whatever rounding has made of them.
+    """Make covariances, in place, symmetric and positive definite despite rounding.
 
-    Numbers of 16 digits tell no direction of a covariance better than that, so each variance grows by what rounding may
-    have taken. Otherwise errors of the size of a variance that was large, after a leap of the odometry or a long gap,
-    make small ones negative.
+    Each variance grows by the most that rounding may have taken. Otherwise rounding errors of a large variance, after a
+    leap of the odometry or a long gap, make small ones negative.
 
     Args:
         covariance: As computed, positive semidefinite but for rounding.
@@ -31,11 +30,11 @@ def settle(covariance: Float64[np.ndarray, "*n d d"], before: Float64[np.ndarray
 
 
 def require_sound(poses: Poses, covariances: Float64[np.ndarray, "*n 6 6"] | None = None) -> None:
-    """Check what is about to be written or published: nothing leaves that is wrong about itself.
+    """Check poses and covariances before they are written or published.
 
     Args:
         poses: Any batch.
-        covariances: Of them, where they are told, too.
+        covariances: Of the poses; None for poses alone.
 
     Raises:
         VaporTrackError: a pose or covariance is not finite, or a covariance not positive definite.

@@ -1,4 +1,4 @@
-"""How the camera moved between two images, and how uncertain that is."""
+"""Odometry: the motion of the camera between two images, its noise and its bias."""
 
 from __future__ import annotations
 
@@ -11,9 +11,7 @@ from jaxtyping import Float64
 from filtering.errors import VaporTrackError, require_within
 from filtering.se3 import Poses
 
-_RIGID = 1e-6  # of RRᵀ − I: float32 passes. Particles compose every increment and are never made orthonormal again
-
-
+_RIGID = 1e-6  # of RRᵀ − I: float32 passes
 _LARGEST_VARIANCE, _LONGEST_M = 1e12, 1e9
 _NODES, _NODE_WEIGHTS = np.polynomial.legendre.leggauss(10)  # 1e-14 of the integral for turns up to π
 _REMAINING, _NODE_WEIGHTS = (1.0 - _NODES) / 2, _NODE_WEIGHTS / 2
@@ -42,12 +40,12 @@ class Odometry:
 
     @cached_property
     def carry(self) -> Float64[np.ndarray, "6 6"]:
-        """What carries the error of a pose from before the motion to after it."""
+        """The matrix that maps the error of a pose before the motion to the one after it."""
         return self.previous_from_current.inverse().adjoint()
 
     @cached_property
     def noise(self) -> Float64[np.ndarray, "6 6"]:
-        """The covariance as it is computed with: the nearest that is symmetric and has no negative eigenvalue.
+        """The nearest covariance that is symmetric and has no negative eigenvalue.
 
         Raises:
             VaporTrackError: as `covariance_factor`.
@@ -57,7 +55,7 @@ class Odometry:
 
     @cached_property
     def is_motion(self) -> bool:
-        """True; raises as `require_odometry`, which filter and baselines all ask for."""
+        """True; raises as `require_odometry`."""
         _require_motion(self)
         return True
 
@@ -72,7 +70,7 @@ class Odometry:
         )
 
     def then(self, later: Odometry) -> Odometry:
-        """This motion and the one that follows it as one: errors carried to the end by the adjoint, and added."""
+        """This motion and the one that follows it as one."""
         return Odometry(
             self.previous_from_current @ later.previous_from_current,
             later.carry @ self.covariance @ later.carry.T + later.covariance,
@@ -81,11 +79,11 @@ class Odometry:
 
 
 def require_odometry(odometry: Odometry) -> None:
-    """Check that odometry is one rigid motion with a covariance. However far it goes is its covariance's affair.
+    """Check that odometry is one rigid motion with a covariance.
 
     Raises:
-        VaporTrackError: the motion is not one pose, not finite, not rigid or longer than 10⁹ m, its duration is none
-            (`require_duration`), or as `covariance_factor`.
+        VaporTrackError: the motion is not one pose, not finite, not rigid or longer than 10⁹ m, its duration is
+            invalid (`require_duration`), or as `covariance_factor`.
     """
     _ = odometry.is_motion
 
@@ -110,15 +108,15 @@ def _require_motion(odometry: Odometry) -> None:
     if widest > _LARGEST_VARIANCE:
         raise VaporTrackError(
             f"odometry covariance has the variance {widest:.3g}, expected at most {_LARGEST_VARIANCE:g} m² or rad²;"
-            " where nothing is known of the motion, give no odometry"
+            " where the motion is unknown, give no odometry"
         )
 
 
 def require_duration(duration_s: float) -> None:
-    """Check that a motion took no negative time.
+    """Check that a duration is finite and not negative.
 
     Raises:
-        VaporTrackError: it did, or the time is not finite.
+        VaporTrackError: it is not.
     """
     if not 0.0 <= duration_s < np.inf:
         raise VaporTrackError(f"odometry increment took {duration_s} s, expected a finite duration of 0 s or more")
@@ -127,14 +125,14 @@ def require_duration(duration_s: float) -> None:
 def accumulated(
     tangent: Float64[np.ndarray, "*batch 6"], noise: Float64[np.ndarray, "*batch 6 6"]
 ) -> Float64[np.ndarray, "*batch 6 6"]:
-    """Covariance, at the end of motions of constant twist, of white noise that comes evenly all along them.
+    """Covariance, at the end of motions of constant twist, of white noise spread evenly along them.
 
     Q = ∫₀¹ A(u) noise A(u)ᵀ du with A(u) = Ad(exp(−(1 − u) ξ)), by Gauss-Legendre quadrature (relative error below 1e-9
-    for turns up to π). Whatever parts a motion is cut into, what they accumulate adds up to that of the whole.
+    for turns up to π). The parts of a motion accumulate the same covariance as the whole.
 
     Args:
         tangent: ξ = (v, ω) of whole motions, metres and radians.
-        noise: Covariance of what comes along each, in the frame that moves.
+        noise: Covariance of the noise along each, in the moving frame.
     """
     carry = Poses.exp(-_REMAINING[:, None] * tangent[..., None, :]).adjoint()
     weighted = carry * _NODE_WEIGHTS[:, None, None]
@@ -146,8 +144,8 @@ def accumulated(
 class MotionNoise:
     """Stated white noise of odometry whose messages carry no covariance (Thrun et al. 2005, §5.4, in three dimensions).
 
-    Variances grow in proportion to distance, angle and time, so a motion's covariance is the same whatever increments
-    it comes in. Distance and angle are counted along the way: jitter counts, too.
+    Variances grow in proportion to distance, angle and time along the path, so a motion's covariance does not depend on
+    its increments. Jitter counts, too.
     """
 
     translation_per_sqrt_m: float = 0.02
@@ -177,7 +175,7 @@ class MotionNoise:
     def along(
         self, tangent: Float64[np.ndarray, "*batch 6"], duration_s: Float64[np.ndarray, "*batch"]
     ) -> Float64[np.ndarray, "*batch 6"]:
-        """Variances, m² and rad², that come along motions of constant twist, each axis of the frame that moves.
+        """Variances, m² and rad², along motions of constant twist, each axis of the moving frame.
 
         Args:
             tangent: ξ = (v, ω) of each motion.
@@ -213,7 +211,7 @@ class MotionNoise:
 
 @dataclass(frozen=True)
 class SlowErrors:
-    """Errors of odometry that last, beside the white noise that its covariance states.
+    """Scale error and drift of odometry, beside the white noise of its covariance.
 
     An increment that is reported as (v, ω) in the camera frame errs by s·(v, 0) + b·duration, where the scale error s
     is constant and the drift b = (b_v, b_ω) an Ornstein-Uhlenbeck process. A positive s is a distance reported too
@@ -223,10 +221,10 @@ class SlowErrors:
     scale: float = 0.02
     """Standard deviation of the scale error, as a fraction of the distance."""
     drift: tuple[float, float, float, float, float, float] | None = None
-    """Standard deviations of the drift, each axis of the camera: m/s, then rad/s. None: `relative_drift` tells."""
+    """Standard deviations of the drift, each axis of the camera: m/s, then rad/s. None: by `relative_drift`."""
     relative_drift: float = 1.0
     """Standard deviation of the drift over the square root of the rate at which the stated variance grows, each axis,
-    1/√s: with 1.0 drift and white noise err alike over one second."""
+    1/√s: with 1.0 drift and white noise are equal after one second."""
     time_s: float = 30.0
     """Time over which the drift changes, seconds."""
 
@@ -255,19 +253,3 @@ def covariance_factor(covariance: Float64[np.ndarray, "6 6"]) -> Float64[np.ndar
             f"odometry covariance has the negative eigenvalue {eigenvalues[0]:.3g}, expected positive semidefinite"
         )
     return eigenvectors * np.sqrt(np.clip(eigenvalues, 0.0, None))
-
-
-def isotropic_std(covariance: Float64[np.ndarray, "6 6"], least_std: tuple[float, float]) -> tuple[float, float]:
-    """Standard deviations (metres, radians) of the isotropic noise that covers a covariance and adds a least noise.
-
-    Args:
-        covariance: Of ξ = (v, ω).
-        least_std: Noise added in quadrature, metres and radians.
-
-    Raises:
-        VaporTrackError: as `covariance_factor`.
-    """
-    factor = covariance_factor(covariance)
-    translation_m = np.linalg.norm(factor[:3], 2)
-    rotation_rad = np.linalg.norm(factor[3:], 2)
-    return float(np.hypot(translation_m, least_std[0])), float(np.hypot(rotation_rad, least_std[1]))

@@ -1,4 +1,4 @@
-"""Novelty of views from the motion alone: what neighbouring images show twice must not count twice."""
+"""Novelty of views from the motion alone: neighbouring images share what they show, which counts once."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ import numpy as np
 from filtering.se3 import Poses
 
 _REMEMBERED = 60  # views
-_STEP = 0.1  # of a length: what moves less is jitter
+_STEP = 0.1  # of a length: less is jitter
 
 
 @dataclass(frozen=True)
 class NoveltyTracker:
     """Measures motion in lengths over which a camera's view becomes a new one.
 
-    `observe` gives the novelty of a view: how much of what its image says was not said before. It grows with the
-    distance from the nearest of the views remembered and is spent as it grows, so that one length moved is worth one
-    image whatever the rate, and standing, trembling or pacing up and down is worth nothing. `predict` gives the
+    `observe` gives the novelty of a view: the fraction of its image's information that earlier images lack. It grows
+    with the distance from the nearest of the views remembered and is spent as it grows. So one length moved is worth
+    one image at any rate, and standing, trembling or pacing up and down is worth nothing. `predict` gives the
     normalized distance that the camera moved, over which the errors of its images lose their correlation. It grows in
     steps of a tenth of a length, so that jitter adds no distance.
 
@@ -27,10 +27,10 @@ class NoveltyTracker:
         length_rad: Angle that does, radians.
         pose: The camera now, in the frame of the first view, by odometry.
         views: Those remembered, batch (k,), the last one the latest.
-        spent: How new the present view was already found to be, in [0, 1].
+        spent: Novelty of the present view that earlier images have used, in [0, 1].
         anchor: Where the last step ended.
-        reached: How far from it the camera has been, in lengths.
-        unknown: How far the camera may have come since the last view without odometry, in lengths.
+        reached: Largest distance from it since, in lengths.
+        unknown: Distance that the camera may have come without odometry since the last view, in lengths.
         normalized_distance: Of the camera since the last image, in lengths.
     """
 

@@ -1,4 +1,4 @@
-"""What one image says about the camera's pose: a mixture of Gaussians on SE(3), and how it errs."""
+"""The posterior of one image: a mixture of Gaussians on SE(3), with its measurement noise."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ class PosePosterior:
     """The distribution of camera poses for one image: places where the camera may be, each a Gaussian.
 
     Attributes:
-        means: world_from_camera of each place, batch (k,); none for an image that says nothing.
+        means: world_from_camera of each place, batch (k,); empty for an image without information.
         covariances: Of the error ξ = (v, ω) of each, metres and radians, in the tangent at the mean, (k, 6, 6).
         weights: Of each place in the posterior, at least 0, in all 1 at most, (k,).
-        errors: How the places err over time.
-        samples: Samples of the posterior, world_from_camera, batch (m,), to be shown; the means where there are none.
-        unfamiliarity: How unlike the images that the network was trained on this one is: near 0 one of them, 1 as
-            unlike as images of the place hardly ever are, above that foreign; 0 without a score. A foreign image says
-            nothing.
-        growth: How much larger the variances are for that than those of the error model.
-        verified: Which places landmarks have verified, and so err as `errors.verified` says, (k,); None for none.
-        mapped: Where landmarks can verify places; None for everywhere. Only the particle filter asks for it.
+        errors: Noise of the places.
+        samples: Samples of the posterior, world_from_camera, batch (m,), for display; the means where there are none.
+        unfamiliarity: Distance of the image from the training images: near 0 for one of them, 1 at the threshold,
+            above it the image is out of distribution and carries no information. 0 without a score.
+        growth: Factor of the variances that follows from the score.
+        verified: Whether landmarks have verified each place, whose noise is then `errors.verified`, (k,); None for
+            none.
+        mapped: Where landmarks can verify places; None for everywhere. Only the particle filter uses it.
     """
 
     means: Poses
@@ -101,14 +101,14 @@ class PosePosterior:
         *,
         weights: Float64[np.ndarray, " m"] | None = None,
     ) -> PosePosterior:
-        """The posterior of an image of which there are some estimates of the pose: one of them is right, or none.
+        """The posterior of an image with several estimates of its pose, of which one is right, or none.
 
         Args:
             estimates: world_from_camera, batch (m,), m ≥ 1.
             std_m: Stated standard deviation along each axis, metres; of all estimates or of each.
             std_rad: Stated standard deviation about each axis, radians; of all estimates or of each.
-            errors: How they err over time.
-            weights: Probability that each is the right one, at least 0, in all 1 at most; None for any as likely.
+            errors: Their noise.
+            weights: Probability that each is the right one, at least 0, in all 1 at most; None for equal ones.
 
         Raises:
             VaporTrackError: no estimate, or a number out of its range.
@@ -126,22 +126,22 @@ class PosePosterior:
 
     @staticmethod
     def nothing(errors: ErrorModel | None = None, samples: Poses | None = None) -> PosePosterior:
-        """The posterior of an image that says nothing: it changes no belief."""
+        """The posterior of an image without information: it changes no belief."""
         none = Poses.identity(0)
         return PosePosterior(none, np.zeros((0, 6, 6)), np.zeros(0), errors or ErrorModel(), samples or none)
 
     def without_places(self) -> PosePosterior:
-        """The same, uninformative: as unlike the training images as it is, and without any place."""
+        """The same without any place, with its score."""
         return replace(PosePosterior.nothing(self.errors, self.samples), unfamiliarity=self.unfamiliarity)
 
     @property
     def is_foreign(self) -> bool:
-        """Whether the image is of another place than those the network was trained on."""
+        """Whether the image is too unlike the training images to be of their place."""
         return self.unfamiliarity > FOREIGN
 
     @property
     def says_nothing(self) -> bool:
-        """Whether it has no place, or is of a foreign image."""
+        """Whether it has no place, or is out of distribution."""
         return len(self.weights) == 0 or self.is_foreign
 
     @cached_property
@@ -157,20 +157,21 @@ class PosePosterior:
 
     @cached_property
     def outlier_probability(self) -> float:
-        """Probability that the image says nothing: where places are verified, that none of these is the right one."""
+        """Probability that no place is the true one: no verified one, where places are verified."""
         return (self.errors.finest if self.has_verified else self.errors).outlier_probability
 
     def excuse(self, poses: Poses) -> Float64[np.ndarray, " n"]:
-        """How far it says nothing against each of n poses that landmarks verify other places, in [0, 1), (n,)."""
+        """Probability, for each of n poses, that its view is not in the map, so that other places are verified,
+        (n,)."""
         if self.mapped is None or not self.has_verified:
             return np.zeros(len(poses))
         return self.mapped.excuse(poses)
 
     @cached_property
     def possible(self) -> Float64[np.ndarray, " k"]:
-        """How possible each place is, in [0, 1]: its weight, with the model's caution about weights.
+        """How possible each place is, in [0, 1]: its weight w as w / (w + possible fraction).
 
-        What a verified place weighs beside one that is not was found on held-out images: no caution is needed there.
+        Weights of verified places beside others were calibrated on held-out images and are taken as they are.
         """
         possible = self.weights / (self.weights + self.errors.possible_fraction)
         network, verified = self.sources
@@ -181,7 +182,8 @@ class PosePosterior:
 
     @cached_property
     def support(self) -> Float64[np.ndarray, " k"]:
-        """What each place adds to how possible the poses near it are, (k,): of a sum s that is s / (s + fraction)."""
+        """Share of each place, (k,): poses near places with a sum s of shares are possible by s / (s + possible
+        fraction)."""
         return self.errors.possible_fraction * self.possible / (1.0 - self.possible)
 
     @cached_property
@@ -193,17 +195,17 @@ class PosePosterior:
 
     @cached_property
     def sources(self) -> tuple[Int64[np.ndarray, " a"], Int64[np.ndarray, " b"]]:
-        """Which places the network proposes, and which landmarks have verified: each source errs in its own way."""
+        """Indices of the places that the network proposes, and of those that landmarks have verified."""
         if self.verified is None:
             return np.arange(len(self.weights)), np.empty(0, np.int64)
         return np.flatnonzero(~self.verified), np.flatnonzero(self.verified)
 
     def errors_of(self, source: int) -> ErrorModel:
-        """How the places of a source err, by its number in `sources`."""
+        """Noise of the places of a source, by its number in `sources`."""
         return self.errors if source == 0 else self.errors.finest
 
-    def only(self, source: int) -> PosePosterior:
-        """What one source says, with its errors."""
+    def of_source(self, source: int) -> PosePosterior:
+        """The places of one source, with their noise."""
         places = self.sources[source]
         if source == 0 and len(places) == len(self.weights):
             return self
@@ -218,7 +220,7 @@ class PosePosterior:
         )
 
     def inflated(self, factor: float, of_verified: float = 1.0) -> PosePosterior:
-        """The same with errors whose variances are larger by a factor, those of verified places by another."""
+        """The same with variances times a factor, those of verified places times another."""
         if factor == of_verified == 1.0:
             return self
         factors = np.full(len(self.weights), factor)
@@ -232,7 +234,7 @@ class PosePosterior:
         return larger
 
     def seen_from(self, reference_from_camera: Poses) -> PosePosterior:
-        """The same about another frame that is fixed to the camera: world_from_reference (one pose)."""
+        """The posterior of another frame that is fixed to the camera (one pose)."""
         if reference_from_camera.is_identity:
             return self
         carry = reference_from_camera.adjoint()

@@ -1,4 +1,4 @@
-"""Odometry carries hypotheses on; where there is none, they become wider."""
+"""Prediction: odometry moves hypotheses; without any they are inflated."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from filtering.motion import Odometry, SlowErrors
 from filtering.se3 import Poses
 
 _WIDEST_RAD = 2.0  # standard deviation: all directions
-_LONGEST_S = 1e10  # three centuries, after which nothing more is forgotten
+_LONGEST_S = 1e10  # three centuries
 
 
 def motion_of_state(
     odometry: Odometry, slow: SlowErrors, distances: Sequence[float]
 ) -> tuple[Float64[np.ndarray, "d d"], Float64[np.ndarray, "d d"]]:
-    """What a motion does to the state of a hypothesis: its linear transition, and the covariance of the noise it adds.
+    """The linear transition of a state by a motion, and the covariance of the noise that the motion adds.
 
-    The pose itself moves by the increment; the error of the pose that the transition gives is relative to that.
+    The pose moves by the increment; the transition gives its error relative to that.
 
     Args:
         odometry: The motion.
@@ -31,7 +31,9 @@ def motion_of_state(
     """
     size = 13 + 6 * len(distances)
     duration_s = min(odometry.duration_s, _LONGEST_S)
-    errs = np.zeros((6, 7))  # of the increment, by scale error and drift; what is reported too long is made shorter
+    errs = np.zeros(
+        (6, 7)
+    )  # of the increment, by scale error and drift; a positive scale error means too long increments
     errs[:3, 0] = -odometry.tangent[:3]
     if slow.drift is None:
         drift = slow.relative_drift * np.sqrt(np.diag(odometry.covariance) * duration_s)
@@ -54,7 +56,7 @@ def motion_of_state(
 
 
 def predict(hypotheses: Hypotheses, odometry: Odometry, slow: SlowErrors, distances: Sequence[float]) -> Hypotheses:
-    """Hypotheses after a motion: poses carried on, slow errors corrected for, uncertainty grown.
+    """Hypotheses after a motion.
 
     Args:
         hypotheses: Before.
@@ -87,7 +89,7 @@ def inflate(hypotheses: Hypotheses, covariance: Float64[np.ndarray, "6 6"]) -> H
 def _carried(
     covariance: Float64[np.ndarray, "n d d"], pose: Float64[np.ndarray, "6 13"], kept: Float64[np.ndarray, " m"]
 ) -> Float64[np.ndarray, "n d d"]:
-    """F C Fᵀ for a transition F that leads to the pose from pose and slow errors, and scales all else."""
+    """F C Fᵀ for a transition F with full rows for the pose, and a diagonal otherwise."""
     size = covariance.shape[1]
     scale = np.concatenate([np.ones(6), kept])
     scales = np.multiply.outer(scale, scale)

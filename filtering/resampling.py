@@ -1,4 +1,4 @@
-"""Weights -> fewer weighted particles."""
+"""Resampling: fewer weighted particles."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ def systematic(weights: Float64[np.ndarray, " n"], count: int, *, rng: np.random
 def optimal_resample(
     log_weights: Float64[np.ndarray, " n"], count: int, *, rng: np.random.Generator
 ) -> tuple[Int64[np.ndarray, " k"], Float64[np.ndarray, " k"]]:
-    """The best choice of fewer weighted particles (Fearnhead and Clifford, 2003): no other unbiased one errs less.
+    """Optimal resampling (Fearnhead and Clifford, 2003): of all unbiased ways, the one of least variance.
 
     Those above a threshold are kept with their weights; of the others some are drawn, each with the threshold for a
     weight. No particle is drawn twice, and the expected weight of each is what it was.
 
     Args:
         log_weights: Normalised, (n,), n > count.
-        count: How many are kept, at least 1.
+        count: Number kept, at least 1.
         rng: Source of the draw.
 
     Returns:
@@ -50,7 +50,7 @@ def optimal_resample(
 def heaviest(
     log_weights: Float64[np.ndarray, " n"], count: int, *, rng: np.random.Generator
 ) -> tuple[Int64[np.ndarray, " k"], Float64[np.ndarray, " k"]]:
-    """The heaviest particles, as `optimal_resample` gives its own: the mixture is truncated, which is biased."""
+    """The heaviest particles: a truncation, which is biased. See `optimal_resample` for arguments and results."""
     kept = np.argsort(-log_weights, kind="stable")[:count]
     return kept, log_weights[kept]
 

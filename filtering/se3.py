@@ -17,7 +17,7 @@ _SMALL_SQ = 1e-4  # rad²: below, series are exact and quotients cancel
 _SKEW = np.array([[0, 0, 0, 0, 0, -1, 0, 1, 0], [0, 0, 1, 0, 0, 0, -1, 0, 0], [0, -1, 0, 1, 0, 0, 0, 0, 0]], np.float64)
 # R @ _SINE_COSINE are sin θ times the axis, which is half of R − Rᵀ, and cos θ + ½.
 _SINE_COSINE = np.column_stack([_SKEW.T, np.eye(3).ravel()]) / 2
-_NO_SINE = 1e-300  # squared: so that the quotient of an angle of 0 and its sine is 1
+_NO_SINE = 1e-300  # squared: the quotient of an angle of 0 and its sine is then 1
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class Poses:
     @staticmethod
     def stack(parts: Sequence[Poses]) -> Poses:
         """Stack equally shaped batches along a new first axis."""
-        shape = len(parts), *parts[0].batch_shape  # np.stack looks at every part, and takes three times as long
+        shape = len(parts), *parts[0].batch_shape  # a third of np.stack's time
         rotation = np.concatenate([p.rotation for p in parts]).reshape(*shape, 3, 3)
         return Poses(rotation, np.concatenate([p.translation for p in parts]).reshape(*shape, 3))
 
@@ -111,7 +111,7 @@ class Poses:
         return matrix
 
     def as_quat_xyzw(self, *, known_valid: bool = False) -> Float64[np.ndarray, "*batch 4"]:
-        """Unit quaternions in x, y, z, w order, w ≥ 0; that all are rotations is checked unless it is known."""
+        """Unit quaternions in x, y, z, w order, w ≥ 0; rotations are checked unless they are known to be valid."""
         matrices = self.rotation.reshape(-1, 3, 3)
         flat = Rotation.from_matrix(matrices, assume_valid=known_valid).as_quat(canonical=True)
         return flat.reshape(*self.batch_shape, 4)
@@ -145,7 +145,7 @@ class Poses:
         return Poses(np.ascontiguousarray(transposed), -(transposed @ self.translation[..., None])[..., 0])
 
     def between(self, other: Poses) -> Poses:
-        """`b_from_c` of `a_from_b` and `a_from_c`: `self.inverse() @ other` in one go; batch shapes broadcast."""
+        """`b_from_c` of `a_from_b` and `a_from_c`: `self.inverse() @ other`; batch shapes broadcast."""
         transposed = np.swapaxes(self.rotation, -1, -2)
         offset = other.translation - self.translation
         return Poses(transposed @ other.rotation, (transposed @ offset[..., None])[..., 0])
@@ -171,7 +171,7 @@ class Poses:
         return adjoint
 
     def orthonormal(self) -> Poses:
-        """The same with rotations that are orthonormal to the square of how far they were from it.
+        """The same with rotations whose distance from orthonormal ones is squared.
 
         One step of Newton's iteration for the polar factor (Higham, 1986). In chains of motions, each rigid to some
         digits, it keeps errors from adding up.
@@ -196,7 +196,7 @@ class Poses:
     def squared_distances(self, others: Poses) -> tuple[Float64[np.ndarray, "n k"], Float64[np.ndarray, "n k"]]:
         """Of each of these poses (n,) from each of others (k,): in m², and 2 − 2 cos θ, at most the squared angle.
 
-        By products of matrices: fast, and exact to 1e-15 of the square of how far all of them lie apart.
+        Exact to 1e-15 of the squared extent of all poses.
         """
         if len(others) == 0:
             return np.zeros((len(self), 0)), np.zeros((len(self), 0))

@@ -1,9 +1,9 @@
 """Estimates and odometry -> smoothed trajectory: a GTSAM factor graph that resolves the start in hindsight.
 
 Per image the factor is a mixture over the modes of its posterior, handled as max-mixture (Olson and Agarwal, "Inference
-on networks of mixtures", 2013): the mode that fits best speaks, with the tails of the error model. Images whose errors
-last share what they say, and the slow errors of odometry widen its noise. GTSAM's Pose3 tangent is rotation first; the
-one permutation lives here.
+on networks of mixtures", 2013): the mode that fits best counts, with the tails of the error model. Images with
+correlated errors share their information, and the slow errors of odometry widen its noise. GTSAM's Pose3 tangent is
+rotation first; the one permutation lives here.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from filtering.prediction import motion_of_state
 from filtering.se3 import Poses
 
 SMOOTHED_MODES = 6
-"""Of each image, the heaviest: enough for the smoother."""
+"""Number of modes of each image that the smoother takes, the heaviest."""
 
 _ABOUT_NS, _ABOUT_IMAGES = 500_000_000, 5  # what is about an image, to each side
 _REGULAR = 1e-8 * np.eye(6)  # a tenth of a millimetre and of a milliradian keep modes of equal samples regular
@@ -43,28 +43,28 @@ class SmoothingConfig:
     """Settings of the smoother."""
 
     rounds: int = 3
-    """How often modes are chosen anew for the trajectory found."""
+    """Largest number of alternations between choosing modes and solving."""
     slow_errors: SlowErrors = field(default_factory=lambda: LocalizerConfig().slow_errors)
-    """Errors of the odometry that last; the filter's."""
+    """Scale error and drift of the odometry; as of the particle filter."""
     cover_s: float = 10.0
-    """The noise of odometry is widened to cover them over this time, seconds."""
+    """Time over which the noise of odometry is widened to cover them, seconds."""
 
     def __post_init__(self) -> None:
         require_within(self, rounds=(1, 1000), cover_s=(0.0, 1e9))
 
 
 def independence(distances: Float64[np.ndarray, " n"], lasting_fraction: float) -> Float64[np.ndarray, " n"]:
-    """How much of an independent measurement each image of a sequence is, in (0, 1].
+    """The fraction of an independent measurement that each image of a sequence is worth, in (0, 1].
 
-    These are the weights K⁻¹ 1 by which the images tell of one pose as precisely as can be, and their sum 1ᵀ K⁻¹ 1 is
-    how many independent images they are worth. K are the correlations of their errors, `lasting_fraction` ·
-    exp(−distance between them). Images taken standing are worth 1 / lasting_fraction together, and on a long path in
-    even steps g each is worth 1 / (1 − lasting_fraction + lasting_fraction · coth(g/2)).
+    These are the weights K⁻¹ 1 of the best linear estimate of one pose, and their sum 1ᵀ K⁻¹ 1 is the number of
+    independent images that all are worth. K are the correlations of their errors, `lasting_fraction` · exp(−distance
+    between them). Images taken standing are worth 1 / lasting_fraction together. On a long path in even steps g each is
+    worth 1 / (1 − lasting_fraction + lasting_fraction · coth(g/2)).
 
     Args:
         distances: Normalized distance that the camera moved since the image before, see `Estimate`; the first is not
             used.
-        lasting_fraction: Fraction of the error's variance that lasts, in [0, 1).
+        lasting_fraction: Fraction of the error's variance that is correlated, in [0, 1).
     """
     n = len(distances)
     if n < 2:
@@ -94,13 +94,13 @@ def smooth(
     """The most likely trajectory given all images and all odometry.
 
     Args:
-        image_modes: For every image the modes of its own posterior, n of them; none for one that says nothing.
+        image_modes: For every image the modes of its own posterior, n of them; none for an uninformative one.
         odometry: Motion since the previous image, n; the first is not used. None splits the trajectory.
         distances: Normalized distance that the camera moved since the image before
             (`Estimate.normalized_distance`), (n,).
         filtered: Best modes of the filter, world_from_camera, batch (n,).
-        converged: Which of them the filter was sure of, (n,).
-        errors: How the images err.
+        converged: Whether the filter had converged, (n,).
+        errors: Noise of the images.
         config: Settings.
 
     Returns:
@@ -131,33 +131,32 @@ def smooth(
 def agreement(
     trajectory: Poses, times_ns: Int64[np.ndarray, " n"], image_modes: Sequence[tuple[Mode, ...]], errors: ErrorModel
 ) -> Float64[np.ndarray, " n"]:
-    """How well the images about each pose of a trajectory fit it, as the filter's agreement says of a belief.
+    """How well each pose of a trajectory fits the images about it, like the filter's agreement for a belief.
 
-    The pose of an image is as possible as the places near it are, where near leaves details aside (see
-    `filtering.association`); here in comparison with the image's most possible place. This is averaged over the images
-    within half a second, and five to each side at least. Odometry that was wrong pulls a smoothed trajectory away from
-    what its images say, and shows here.
+    A pose is as possible as the places near it (see `filtering.association`), here relative to the image's most
+    possible place. This is averaged over the images within half a second, and five to each side at least. It is small
+    where wrong odometry pulls a smoothed trajectory away from its images.
 
     Args:
         trajectory: world_from_camera, batch (n,).
         times_ns: Stamps, increasing, (n,).
-        image_modes: For every image the heaviest modes of its own posterior, n of them; none for one that says nothing.
-        errors: How the images err.
+        image_modes: For every image the heaviest modes of its own posterior, n of them; none for an uninformative one.
+        errors: Noise of the images.
 
     Returns:
-        From 0 to 1, (n,); 0 where no image about it says anything.
+        From 0 to 1, (n,); 0 where no image about a pose is informative.
     """
     n = len(trajectory)
-    fits, says = np.zeros(n), np.array([len(modes) > 0 for modes in image_modes], bool)
+    fits, informative = np.zeros(n), np.array([len(modes) > 0 for modes in image_modes], bool)
     in_map = _within_map(trajectory, [mode for modes in image_modes for mode in modes], errors)
-    for i in np.flatnonzero(says).tolist():
+    for i in np.flatnonzero(informative).tolist():
         modes = image_modes[i]
         residual = (Poses.stack([mode.world_from_camera for mode in modes]).inverse() @ trajectory[i]).log()
         information = np.linalg.inv(np.stack([mode.covariance for mode in modes]) + _REGULAR)
         near = np.exp(-0.5 * np.einsum("ki,kij,kj->k", residual, information, residual) / PLACE**2)
         weight = np.array([mode.weight for mode in modes])
-        untold = max(1.0 - weight.sum(), 0.0)  # of modes that were left out, one of which may be near within the map
-        sums = weight @ near + in_map[i] * untold, weight.max() + untold
+        rest = max(1.0 - weight.sum(), 0.0)  # of modes that were left out, one of which may be near within the map
+        sums = weight @ near + in_map[i] * rest, weight.max() + rest
         possible, most = (s / (s + errors.possible_fraction) for s in sums)
         fits[i] = min(possible / most, 1.0)
     at = np.arange(n)
@@ -165,12 +164,12 @@ def agreement(
     last = np.maximum(
         np.searchsorted(times_ns, times_ns + _ABOUT_NS, side="right"), np.minimum(at + _ABOUT_IMAGES + 1, n)
     )
-    summed, count = (np.concatenate([[0.0], np.cumsum(values)]) for values in (fits, says))
+    summed, count = (np.concatenate([[0.0], np.cumsum(values)]) for values in (fits, informative))
     return (summed[last] - summed[first]) / np.maximum(count[last] - count[first], 1.0)
 
 
 def _within_map(trajectory: Poses, modes: Sequence[Mode], errors: ErrorModel) -> Bool[np.ndarray, " n"]:
-    """Which poses are where a mode that was left out may be: not ten times as far from the middle of all as any is."""
+    """Whether poses are near enough for a mode beyond those given: within ten times the extent of all modes."""
     if not modes:
         return np.zeros(len(trajectory), bool)
     positions = np.stack([mode.world_from_camera.translation for mode in modes])
@@ -180,8 +179,8 @@ def _within_map(trajectory: Poses, modes: Sequence[Mode], errors: ErrorModel) ->
 
 
 def _initial_guesses(filtered: Poses, steps: Sequence[Odometry], converged: np.ndarray) -> list[Poses]:
-    """Whole trajectories that obey odometry where the filter was unsure: from its last pose, and from where it
-    was confident."""
+    """Two trajectories that follow odometry where the filter had not converged: from each pose where it had, and from
+    the last one alone."""
     n = len(filtered)
     anchored = converged.copy()
     if not anchored.any():
@@ -205,7 +204,7 @@ def _chain(filtered: Poses, steps: Sequence[Odometry], anchored: np.ndarray) -> 
 
 
 class _ImageModes:
-    """The modes of all images as arrays, k modes in all, to choose among them in one go.
+    """The modes of all images as arrays, k modes in all.
 
     A mode's cost is the negative log density of a Student t distribution, by how independent its image is: a Cauchy
     kernel on the residual by a covariance that is narrower than the mode's at the middle.
@@ -227,10 +226,10 @@ class _ImageModes:
         travelled = np.cumsum(distances)
         since = np.diff(travelled[self.images], prepend=0.0)
         of_image[self.images] = independence(since, errors.lasting_fraction)
-        exact = np.unique(self._image[verified])  # images of which landmarks say something
-        # The lengths are those of the network's errors; those of landmarks last over others.
+        exact = np.unique(self._image[verified])  # images with verified modes
+        # Distances are in lengths of the network's errors; landmarks have others.
         ratios = errors.length_m / errors.finest.length_m, errors.length_rad / errors.finest.length_rad
-        since = np.diff(travelled[exact], prepend=0.0) * min(ratios)  # moved or turned: which, is not known
+        since = np.diff(travelled[exact], prepend=0.0) * min(ratios)  # moved or turned
         of_image[exact] = independence(since, errors.finest.lasting_fraction)
         worth = of_image[self._image]
         self.kernel = np.sqrt((tail + 6.0) * worth)
@@ -241,7 +240,7 @@ class _ImageModes:
         self._cost = worth * (0.5 * np.linalg.slogdet(stated)[1] - log_peak - log_weight)
 
     def choose(self, trajectory: Poses) -> tuple[Int64[np.ndarray, " c"], float]:
-        """Index of the mode that explains each of `images` best, and the cost of these for weight and normaliser."""
+        """Index of the best mode for each of `images`, and the cost of these for weight and normaliser."""
         residual = (self.poses.inverse() @ trajectory[self._image]).log()
         squared = np.einsum("ki,kij,kj->k", residual, self._information, residual)
         error = 0.5 * self.kernel**2 * np.log1p(squared / self.kernel**2) + self._cost
@@ -252,7 +251,7 @@ class _ImageModes:
 def _optimise(
     guess: Poses, modes: _ImageModes, steps: Sequence[Odometry], config: SmoothingConfig
 ) -> tuple[Poses, float]:
-    """Alternate between choosing each image's mode and solving the graph; returns the poses and their error."""
+    """Poses and their error after alternating between choosing each image's mode and solving the graph."""
     odometry_graph = gtsam.NonlinearFactorGraph()
     for i, step in enumerate(steps):
         noise = _gaussian(_widened(step, config) + 1e-8 * np.eye(6))  # exact odometry stays invertible
@@ -280,7 +279,7 @@ def _optimise(
 
 
 def _widened(step: Odometry, config: SmoothingConfig) -> Float64[np.ndarray, "6 6"]:
-    """Covariance of white noise that adds up, over `cover_s`, to what noise and slow errors of an increment do."""
+    """Covariance of white noise that equals noise and slow errors of an increment over `cover_s`."""
     slow = config.slow_errors
     errs = motion_of_state(step, slow, [])[0][POSE, SLOW] * np.array([slow.scale, *6 * [1.0]])
     return step.noise + config.cover_s / max(step.duration_s, 1e-9) * (errs @ errs.T)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from filtering.association import Link, correct, evidence, gate
+from filtering.association import Correlation, correct, evidence, gate
 from filtering.belief import Belief
 from filtering.births import BIRTHS
 from filtering.cameras import CameraMemory, View
@@ -34,17 +34,17 @@ _USUAL_S = 10.0  # time over which the usual agreement is averaged
 def step(
     belief: Belief, views: Sequence[View], odometry: Odometry | None, elapsed_s: float, config: LocalizerConfig
 ) -> tuple[Belief, Estimate]:
-    """The belief one step later, and what it says.
+    """The belief one step later, and its estimate.
 
     Args:
-        belief: Of before.
-        views: What cameras see now; none where there is no image.
-        odometry: Motion of the reference frame since the step before; None where it is unknown.
-        elapsed_s: Seconds since the step before; used where `odometry` is None.
+        belief: Before the step.
+        views: Of the cameras now; empty without an image.
+        odometry: Motion of the reference frame since the last step; None where it is unknown.
+        elapsed_s: Seconds since the last step; used where `odometry` is None.
         config: Settings of the filter.
 
     Raises:
-        VaporTrackError: the odometry is none (`require_odometry`), or no view has any place at a first step.
+        VaporTrackError: the odometry is invalid (`require_odometry`), or no view has any place at a first step.
     """
     belief = predict(belief, odometry, elapsed_s, config)
     informative, novelty = [view for view in views if not view.posterior.says_nothing], 0.0
@@ -52,21 +52,21 @@ def step(
         belief = initialize(belief, views, config)
         informative, novelty = informative[1:], 1.0
     belief = with_cameras(belief, informative, config)
-    seen: list[Seen] = []
+    used: list[UsedView] = []
     for view in informative:
         belief, one = measure(belief, view)
-        seen.append(one)
-    novelty = max([novelty, *(one.novelty for one in seen)])
-    belief = add_births(belief, seen, novelty, config)
+        used.append(one)
+    novelty = max([novelty, *(one.novelty for one in used)])
+    belief = add_births(belief, used, novelty, config)
     if informative or novelty > 0.0:
         belief = reduce(belief, config)
-    belief = follow_agreement(belief, seen, views, config)
+    belief = follow_agreement(belief, used, views, config)
     belief, estimate = describe(belief, views, novelty, config)
     return unchecked_replace(belief, normalized_distance=0.0) if views else belief, estimate
 
 
 def predict(belief: Belief, odometry: Odometry | None, elapsed_s: float, config: LocalizerConfig) -> Belief:
-    """Carry the belief to the present, on odometry or across a gap; see `step`."""
+    """Move the belief by odometry, or across a gap without any; see `step`."""
     hypotheses, gap, provisional, agreement = belief.hypotheses, config.gap, belief.provisional, belief.agreement
     if hypotheses is None:
         return belief
@@ -100,12 +100,12 @@ def predict(belief: Belief, odometry: Odometry | None, elapsed_s: float, config:
 
 
 @dataclass(frozen=True)
-class Seen:
-    """What a view did to the belief.
+class UsedView:
+    """A view as it was used.
 
     Attributes:
-        posterior: Of its image, of the reference frame, with errors as large as odometry has shown.
-        camera: What is remembered of its camera now.
+        posterior: Of its image, for the reference frame, with the measurement noise scaled.
+        camera: The memory of its camera after it.
         novelty: Of the view, in [0, 1].
         agreement: The fraction of the belief that the image fits, in [0, 1].
     """
@@ -116,41 +116,41 @@ class Seen:
     agreement: float
 
 
-def measure(belief: Belief, view: View) -> tuple[Belief, Seen]:
-    """Weigh every hypothesis by an image, and correct it by each place that it may see."""
+def measure(belief: Belief, view: View) -> tuple[Belief, UsedView]:
+    """Weight every hypothesis by an image, and correct it by each place that it may see."""
     before = belief.cameras[view.camera].seen_through(view.reference_from_camera)
     camera, novelty, power = before.observe(view.posterior)
     posterior = view.posterior.inflated(*(source.scale.factor for source in camera.sources))
     posterior = posterior.seen_from(view.reference_from_camera)
-    hypotheses = known(belief)
+    hypotheses = hypotheses_of(belief)
     pairs = gate(
-        hypotheses, posterior, [Link(each.number, each.tracker.normalized_distance) for each in before.sources]
+        hypotheses, posterior, [Correlation(each.number, each.tracker.normalized_distance) for each in before.sources]
     )
     found = evidence(hypotheses, posterior, pairs)
     hypotheses = hypotheses.reweighted(power * found.log_likelihood)
     hypotheses = correct(hypotheses, posterior, pairs, found.outlier).normalized()
     belief = unchecked_replace(belief.with_camera(view.camera, camera), hypotheses=hypotheses)
-    return belief, Seen(posterior, camera, novelty, found.agreement)
+    return belief, UsedView(posterior, camera, novelty, found.agreement)
 
 
-def add_births(belief: Belief, seen: Sequence[Seen], novelty: float, config: LocalizerConfig) -> Belief:
-    """A little of the belief is born anew at the places of the images: the camera may have been carried off."""
-    if not seen:
+def add_births(belief: Belief, used: Sequence[UsedView], novelty: float, config: LocalizerConfig) -> Belief:
+    """Add hypotheses at the places of the images: the camera may have been carried off."""
+    if not used:
         return belief
-    agreement = float(np.mean([one.agreement for one in seen]))
+    agreement = float(np.mean([one.agreement for one in used]))
     probability = BIRTHS[config.births](belief, novelty, agreement, config)
     if probability == 0.0:
         return belief
-    hypotheses = known(belief)
-    births = [born_at(one.posterior, one.camera, belief, config) for one in seen]
-    weighed = [each.reweighted(np.full(len(each), _log(probability / len(seen)))) for each in births]
+    hypotheses = hypotheses_of(belief)
+    births = [born_at(one.posterior, one.camera, belief, config) for one in used]
+    weighed = [each.reweighted(np.full(len(each), _log(probability / len(used)))) for each in births]
     carried = hypotheses.reweighted(np.full(len(hypotheses), _log(1.0 - probability)))
     return unchecked_replace(belief, hypotheses=concatenate([carried, *weighed]))
 
 
 def reduce(belief: Belief, config: LocalizerConfig) -> Belief:
-    """Merge hypotheses that say the same, prune light ones, and resample those that are too many."""
-    hypotheses, random = known(belief), belief.random
+    """Merge hypotheses that agree, prune light ones, and resample beyond `max_hypotheses`."""
+    hypotheses, random = hypotheses_of(belief), belief.random
     if len(hypotheses) > config.max_hypotheses:
         random = copy.deepcopy(random)
     reduced = reduce_mixture(
@@ -164,13 +164,15 @@ def reduce(belief: Belief, config: LocalizerConfig) -> Belief:
     return unchecked_replace(belief, hypotheses=reduced, random=random)
 
 
-def follow_agreement(belief: Belief, seen: Sequence[Seen], views: Sequence[View], config: LocalizerConfig) -> Belief:
-    """Average how much of the belief the latest images fit; a foreign image fits nothing."""
+def follow_agreement(
+    belief: Belief, used: Sequence[UsedView], views: Sequence[View], config: LocalizerConfig
+) -> Belief:
+    """Average the fraction of the belief that fits the latest images; nothing fits one out of distribution."""
     foreign = sum(view.posterior.is_foreign for view in views)
-    if not seen and not foreign:
+    if not used and not foreign:
         return belief
     follow = min(-np.expm1(-belief.unseen_s / config.agreement_s), 1.0 / config.agreement_images)
-    fits = sum(one.agreement for one in seen) / (len(seen) + foreign)
+    fits = sum(one.agreement for one in used) / (len(used) + foreign)
     agreement = belief.agreement + follow * (fits - belief.agreement)
     usual = belief.usual_agreement - np.expm1(-belief.unseen_s / _USUAL_S) * (agreement - belief.usual_agreement)
     return unchecked_replace(belief, agreement=agreement, usual_agreement=usual, unseen_s=0.0)
@@ -180,13 +182,13 @@ def follow_agreement(belief: Belief, seen: Sequence[Seen], views: Sequence[View]
 
 
 def needs_initialization(belief: Belief, views: Sequence[View]) -> bool:
-    """Whether the belief becomes what these views say, and nothing else."""
+    """Whether these views alone make the belief."""
     informative = not all(view.posterior.says_nothing for view in views)
     return belief.hypotheses is None or (belief.provisional and informative)
 
 
 def initialize(belief: Belief, views: Sequence[View], config: LocalizerConfig) -> Belief:
-    """The belief of the first informative view; that of a foreign one is provisional.
+    """The belief of the first informative view; one of an out-of-distribution view is provisional.
 
     Raises:
         VaporTrackError: no view has any place.
@@ -195,7 +197,7 @@ def initialize(belief: Belief, views: Sequence[View], config: LocalizerConfig) -
     candidates, provisional = informative or [view for view in views if view.posterior.is_foreign], not informative
     first = next((view for view in candidates if len(view.posterior.weights)), None)
     if first is None:
-        raise VaporTrackError("the first image says nothing about where the camera is, expected one that does")
+        raise VaporTrackError("the first image has no place, expected one with at least one")
     agreement = 0.0 if provisional else 1.0
     new = Belief(belief.random, agreement=agreement, usual_agreement=agreement, provisional=provisional)
     camera = CameraMemory.first_seen(first, 0, unknown=0.0, adapts=config.adapt_errors)
@@ -205,36 +207,36 @@ def initialize(belief: Belief, views: Sequence[View], config: LocalizerConfig) -
 
 
 def with_cameras(belief: Belief, views: Sequence[View], config: LocalizerConfig) -> Belief:
-    """The same with room for the correlated errors of every camera that is seen, and of the landmarks that it sees."""
+    """The same with the correlated errors of every camera of these views, and of its landmarks, in the state."""
     before, adapts = belief.num_sources, config.adapt_errors
     for view in views:
         number, known_camera = belief.num_sources, belief.cameras.get(view.camera)
-        # Another camera looks from a length away: its first image is all new.
+        # The first image of another camera is all new.
         camera = (
             CameraMemory.first_seen(view, number, unknown=1.0, adapts=adapts)
             if known_camera is None
             else known_camera.with_landmarks(view, number, unknown=1.0, adapts=adapts)
         )
         belief = belief.with_camera(view.camera, camera)
-    hypotheses = known(belief)
+    hypotheses = hypotheses_of(belief)
     for _ in range(before, belief.num_sources):
         hypotheses = with_source(hypotheses)
     return unchecked_replace(belief, hypotheses=hypotheses)
 
 
 def born_at(posterior: PosePosterior, camera: CameraMemory, belief: Belief, config: LocalizerConfig) -> Hypotheses:
-    """What an image says as if nothing else were known of where the camera is."""
+    """Hypotheses at the places of one image alone."""
     network, *others = [source.number for source in camera.sources]
     landmarks = others[0] if others else None
     return birth(posterior, network, belief.num_sources, config.slow_errors, belief.hypotheses, landmarks)
 
 
-# --- what is said of it --------------------------------------------------------------------------------
+# --- the estimate --------------------------------------------------------------------------------------
 
 
 def describe(belief: Belief, views: Sequence[View], novelty: float, config: LocalizerConfig) -> tuple[Belief, Estimate]:
-    """The estimate of a belief, which remembers the best mode."""
-    hypotheses, errors = known(belief), next(iter(belief.cameras.values())).errors
+    """The estimate of a belief, and the belief with its best mode kept."""
+    hypotheses, errors = hypotheses_of(belief), next(iter(belief.cameras.values())).errors
     modes = _ordered(describe_modes(hypotheses, errors, config.modes), belief.best, errors, config)
     estimate = Estimate(
         modes,
@@ -271,7 +273,7 @@ def _status(best: Mode, agreement: float, errors: ErrorModel, config: LocalizerC
     return "converged" if sure and agreement >= config.converged_agreement else "ambiguous"
 
 
-def known(belief: Belief) -> Hypotheses:
+def hypotheses_of(belief: Belief) -> Hypotheses:
     """The hypotheses of a belief that has begun."""
     assert belief.hypotheses is not None
     return belief.hypotheses

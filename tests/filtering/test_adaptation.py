@@ -211,7 +211,9 @@ def test_all_errors_that_the_model_states_are_multiplied_and_the_least_follow_wh
     applied = scale.applied(ERRORS)
     assert applied.constant_fraction == pytest.approx(2.0 * ERRORS.constant_fraction)
     assert replace(applied, constant_fraction=ERRORS.constant_fraction) == ERRORS.inflated(4.0)
-    np.testing.assert_allclose(applied.least_covariance, 8.0 * ERRORS.least_covariance)
+    np.testing.assert_allclose(
+        applied.constant_covariance(np.zeros((6, 6))), 8.0 * ERRORS.constant_covariance(np.zeros((6, 6)))
+    )
     assert ErrorScale().applied(ERRORS) == ERRORS.inflated(1.0)
     nothing = replace(ErrorScale(), information=0.0).applied(replace(ERRORS, constant_fraction=100.0))
     assert nothing.constant_fraction == 1e3  # the most that a model may state
@@ -224,7 +226,9 @@ def test_an_inflated_model_errs_by_so_much_more_variance_and_as_long():
     errors = replace(ERRORS, spread=1.7)
     inflated, samples = errors.inflated(4.0), np.diag([0.3, 0.2, 0.1, 0.1, 0.2, 0.3])[None]
     np.testing.assert_allclose(inflated.covariance(samples), 4.0 * errors.covariance(samples))
-    np.testing.assert_allclose(inflated.least_covariance, 4.0 * errors.least_covariance)
+    np.testing.assert_allclose(
+        inflated.constant_covariance(np.zeros((6, 6))), 4.0 * errors.constant_covariance(np.zeros((6, 6)))
+    )
     np.testing.assert_allclose(inflated.typical_std, 2.0 * np.array(errors.typical_std))
     same = {"spread": errors.spread, "floor": errors.floor, "typical_std": errors.typical_std}
     assert replace(inflated, **same) == errors

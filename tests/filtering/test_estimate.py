@@ -30,7 +30,9 @@ def test_hypotheses_of_one_place_are_one_mode_with_their_mean_and_covariance():
     (mode,) = describe_modes(believed(poses, weights), ERRORS, CONFIG)
     tangent = (mode.world_from_camera.inverse() @ poses).log()
     np.testing.assert_allclose(weights @ tangent, 0.0, atol=1e-3)
-    expected = np.cov(tangent.T, aweights=weights, bias=True) + np.diag(STD**2) + ERRORS.least_covariance
+    expected = (
+        np.cov(tangent.T, aweights=weights, bias=True) + np.diag(STD**2) + ERRORS.constant_covariance(np.zeros((6, 6)))
+    )
     np.testing.assert_allclose(mode.covariance, expected, atol=1e-4)
     assert mode.weight == pytest.approx(1.0)
 
@@ -71,7 +73,7 @@ def test_a_zero_weight_hypothesis_changes_no_mode():
     with np.errstate(divide="ignore"):
         h = believed(lifted(Poses.identity(), [0.0, 0.1]), [1.0, 0.0])
     (mode,) = describe_modes(h, ERRORS, CONFIG)
-    np.testing.assert_allclose(mode.covariance, np.diag(STD**2) + ERRORS.least_covariance)
+    np.testing.assert_allclose(mode.covariance, np.diag(STD**2) + ERRORS.constant_covariance(np.zeros((6, 6))))
 
 
 def test_the_modes_of_an_image_are_its_places_by_falling_share_of_the_whole():

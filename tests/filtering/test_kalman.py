@@ -98,7 +98,7 @@ def test_places_far_off_are_rejected_and_after_seconds_of_them_it_starts_anew(ev
 def test_images_that_say_nothing_only_predict_and_the_first_of_them_is_refused():
     path = walk(30, rng=np.random.default_rng(4))
     kalman = KalmanLocalizer(CONFIG)
-    with pytest.raises(VaporTrackError, match="the first image says nothing"):
+    with pytest.raises(VaporTrackError, match="the first image has no place"):
         kalman.update(PosePosterior.nothing(ERRORS), None)
     foreign = lifted(replace(path.posteriors[0], unfamiliarity=2.0), 50.0)
     assert kalman.update(foreign, None).world_from_camera.translation[2] > 40.0

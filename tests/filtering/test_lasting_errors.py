@@ -24,7 +24,7 @@ SURE = ((ALIKE[:1], (1.0,)),) * 60  # unique images: what the belief begins with
 
 def stds_of(mode):
     """Standard deviations without those that no image takes away."""
-    return np.sqrt(np.diag(mode.covariance - ERRORS.least_covariance))
+    return np.sqrt(np.diag(mode.covariance - ERRORS.constant_covariance(np.zeros((6, 6)))))
 
 
 def weights_of(estimate, heights_m=ALIKE):
@@ -77,9 +77,9 @@ def test_any_number_of_images_of_one_view_is_worth_one_image(how, shares, count)
 def test_where_only_one_place_looks_so_standing_does_not_narrow_it_beyond_what_lasts_and_what_never_fades():
     localizer = ParticleLocalizer(None, rng=RNG(0))
     mode = stand(localizer, (1.0,), 1000, **WAYS_TO_STAND["with odometry that trembles"])[-1].modes[0]
-    least = ERRORS.lasting_fraction * STD**2 + np.diag(ERRORS.least_covariance)
+    least = ERRORS.lasting_fraction * STD**2 + np.diag(ERRORS.constant_covariance(np.zeros((6, 6))))
     assert (np.diag(mode.covariance) > 0.97 * least).all()
-    assert (np.diag(mode.covariance) < STD**2 + np.diag(ERRORS.least_covariance)).all()
+    assert (np.diag(mode.covariance) < STD**2 + np.diag(ERRORS.constant_covariance(np.zeros((6, 6))))).all()
 
 
 def test_walking_does_narrow_it():
@@ -170,7 +170,7 @@ def squared_error(seed, rate, errors, config, *, outlier_probability=0.0, second
     step = Poses.exp(STEP_PER_S / rate)
     distance = np.hypot(1.0 / errors.length_m, 0.2 / errors.length_rad) / rate
     error = image_errors([distance] * (count - 1), errors, rng=rng)
-    constant = np.sqrt(np.diag(errors.least_covariance)) * rng.standard_normal(6)
+    constant = np.sqrt(np.diag(errors.constant_covariance(np.zeros((6, 6))))) * rng.standard_normal(6)
     scale = SLOW.scale * rng.standard_normal() * np.array([1.0, 1, 1, 0, 0, 0]) * STEP_PER_S
     drift = wandering([1 / rate / SLOW.time_s] * (count - 1), 6, rng=rng) * np.array(SLOW.drift)
     truth, localizer = Poses.identity(), ParticleLocalizer(None, config, rng=rng)

@@ -108,7 +108,7 @@ def test_odometry_on_the_first_step_is_not_used():
 def test_a_first_image_that_says_nothing_is_refused_and_the_next_begins():
     localizer = new_localizer()
     for nothing in (PosePosterior.nothing(), FOREIGN):
-        with pytest.raises(VaporTrackError, match="first image says nothing"):
+        with pytest.raises(VaporTrackError, match="first image has no place"):
             localizer.update(nothing, None)
     assert_same_belief(
         localizer.update(seen_at(Poses.identity(1)), None), new_localizer().update(seen_at(Poses.identity(1)), None),

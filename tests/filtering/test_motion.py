@@ -10,17 +10,9 @@ from filtering.motion import (
     SlowErrors,
     accumulated,
     covariance_factor,
-    isotropic_std,
     require_odometry,
 )
 from filtering.se3 import Poses
-
-
-def test_noise_is_made_isotropic_on_the_safe_side():
-    covariance = np.diag([0.1, 0.2, 0.3, 0.01, 0.02, 0.03]) ** 2
-    translation_m, rotation_rad = isotropic_std(covariance, (0.4, 0.04))
-    assert translation_m == pytest.approx(0.5)
-    assert rotation_rad == pytest.approx(0.05)
 
 
 def test_a_singular_covariance_has_a_factor():

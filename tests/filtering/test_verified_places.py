@@ -152,8 +152,8 @@ def test_inflating_and_splitting_keep_sources_apart():
     np.testing.assert_allclose(larger.covariances[1:], 4.0 * posterior.covariances[1:])
     np.testing.assert_allclose(larger.factors @ larger.factors, larger.covariances, atol=1e-12)
     assert larger.errors.verified == SHARP.inflated(9.0)
-    assert posterior.only(1).errors == SHARP
-    assert len(posterior.only(0).weights) == 2
+    assert posterior.of_source(1).errors == SHARP
+    assert len(posterior.of_source(0).weights) == 2
 
 
 def walked(mapped):

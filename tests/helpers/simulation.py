@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from filtering.association import Link, correct, evidence, gate
+from filtering.association import Correlation, correct, evidence, gate
 from filtering.config import LocalizerConfig
 from filtering.error_model import ErrorModel
 from filtering.hypotheses import Hypotheses
@@ -156,7 +156,7 @@ def associate(
     belief: Hypotheses, posterior: PosePosterior, camera: int, *, novelty: float, distance: float
 ) -> Associated:
     """Weigh and correct a belief by an image of a camera at a distance from its last one."""
-    pairs = gate(belief, posterior, [Link(camera, distance)])
+    pairs = gate(belief, posterior, [Correlation(camera, distance)])
     found = evidence(belief, posterior, pairs)
     after = correct(belief.reweighted(novelty * found.log_likelihood), posterior, pairs, found.outlier)
     return Associated(after, found.log_likelihood, found.agreement)

@@ -90,7 +90,7 @@ def test_options_are_shown_with_value_default_and_group():
     assert (options["--workers"].value, options["--workers"].default) == ("INT", "1")
     assert options["--undistort"].names == ("--undistort", "--no-undistort")
     meaning, gap = shown.groups["localizer.gap"]
-    assert meaning == "What is assumed where odometry is missing."
+    assert meaning == "Motion where odometry is missing."
     assert next(each.names[0] for each in gap) == "--localizer.gap.action"
 
 
