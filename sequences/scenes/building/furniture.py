@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
+from typing import TypeAlias
 
 import numpy as np
 
@@ -88,30 +90,23 @@ def _leaves(canvas: Canvas) -> np.ndarray:
     return canvas.colour((0.06, 0.15, 0.04)) * tone[..., None]
 
 
+Range: TypeAlias = float | tuple[float, float]
+"""A size, or the limits between which it is drawn."""
+
+
+def _drawn(rng: np.random.Generator, size: Range) -> float:
+    return rng.uniform(*size) if isinstance(size, tuple) else size
+
+
 def _cupboard(
-    rng: np.random.Generator, size: tuple[float, float, float], fronts: tuple[int, int], saturation: float = 0.5
+    rng: np.random.Generator, size: tuple[Range, Range, Range], fronts: tuple[int, int], saturation: float = 0.5
 ) -> Piece:
-    part, (w, d, h) = Part(), size
+    """A box of a size (width, depth, height) with columns and rows of fronts."""
+    part, (w, d, h) = Part(), (_drawn(rng, each) for each in size)
     rgb = colour(rng, saturation, 0.35)
     part.box((0, 0, 0), (w, d, h), plain(rgb, gloss=0.2), "xXZ")
     part.box((0, 0, 0), (w, d, h), _fronts(rgb, *fronts), "Y")
     return Piece(part, w, d, h)
-
-
-def _cabinet(rng: np.random.Generator) -> Piece:
-    return _cupboard(rng, (rng.uniform(0.7, 1.3), 0.45, rng.uniform(0.7, 1.2)), (2, 3))
-
-
-def _wardrobe(rng: np.random.Generator) -> Piece:
-    return _cupboard(rng, (rng.uniform(1.0, 1.6), 0.58, rng.uniform(1.9, 2.15)), (2, 1))
-
-
-def _fridge(rng: np.random.Generator) -> Piece:
-    return _cupboard(rng, (0.62, 0.6, rng.uniform(1.5, 1.9)), (1, 2), 0.1)
-
-
-def _lockers(rng: np.random.Generator) -> Piece:
-    return _cupboard(rng, (rng.uniform(0.9, 1.5), 0.45, 1.8), (4, 1), 0.8)
 
 
 def _counter(rng: np.random.Generator) -> Piece:
@@ -179,7 +174,7 @@ def _waste_bin(rng: np.random.Generator) -> Piece:
 
 
 def _television(rng: np.random.Generator) -> Piece:
-    piece = _cupboard(rng, (rng.uniform(1.2, 1.7), 0.42, 0.5), (3, 1))
+    piece = _cupboard(rng, ((1.2, 1.7), 0.42, 0.5), (3, 1))
     middle, half = piece.width / 2, 0.5
     piece.part.box((middle - half, 0.15, 0.58), (middle + half, 0.19, 1.15), plain((0.02, 0.02, 0.02)), "xXyzZ")
     piece.part.box((middle - half, 0.15, 0.58), (middle + half, 0.195, 1.15), Material(_screen, gloss=0.5), "Y")
@@ -297,17 +292,8 @@ def _bed(rng: np.random.Generator) -> Piece:
     return Piece(part, w, d, 0.95)
 
 
-def _sofa(rng: np.random.Generator) -> Piece:
-    return _seat(rng, rng.uniform(1.5, 2.1))
-
-
-def _armchair(rng: np.random.Generator) -> Piece:
-    piece = _seat(rng, 0.8)
-    return piece
-
-
-def _seat(rng: np.random.Generator, width: float) -> Piece:
-    part, d = Part(), 0.85
+def _seat(rng: np.random.Generator, size: Range) -> Piece:
+    part, width, d = Part(), _drawn(rng, size), 0.85
     cloth = plain(colour(rng, 0.8, 0.25), amount=0.1)
     part.box((0, 0, 0.08), (width, 0.22, 0.82), cloth, "xXyYZ")
     part.box((0, 0.22, 0.08), (width, d, 0.42), cloth, "xXYZ")
@@ -344,20 +330,20 @@ def draw_furniture(rng: np.random.Generator) -> dict[str, Piece]:
     makers: dict[str, Callable[[np.random.Generator], Piece]] = {
         "desk": _desk,
         "shelf": _shelf,
-        "cabinet": _cabinet,
+        "cabinet": partial(_cupboard, size=((0.7, 1.3), 0.45, (0.7, 1.2)), fronts=(2, 3)),
         "plant": _plant,
         "bin": _waste_bin,
         "bed": _bed,
-        "wardrobe": _wardrobe,
+        "wardrobe": partial(_cupboard, size=((1.0, 1.6), 0.58, (1.9, 2.15)), fronts=(2, 1)),
         "rack": _rack,
         "counter": _counter,
-        "fridge": _fridge,
+        "fridge": partial(_cupboard, size=(0.62, 0.6, (1.5, 1.9)), fronts=(1, 2), saturation=0.1),
         "board": _board,
-        "sofa": _sofa,
-        "armchair": _armchair,
+        "sofa": partial(_seat, size=(1.5, 2.1)),
+        "armchair": partial(_seat, size=0.8),
         "television": _television,
         "boxes": _boxes,
-        "lockers": _lockers,
+        "lockers": partial(_cupboard, size=((0.9, 1.5), 0.45, 1.8), fronts=(4, 1), saturation=0.8),
         "place": _place,
         "dining": _dining,
         "low table": _low_table,
