@@ -11,8 +11,7 @@ from jaxtyping import Float32, Float64, Int64, UInt8
 from filtering.se3 import Poses
 from sequences.frame import Camera
 from sequences.paths.motion import EXPOSURE_S, IMAGE_RATE_HZ, poses_at
-from sequences.rendering.render import render
-from sequences.rendering.surface import LitScene
+from sequences.rendering.render import LitScene, render
 
 
 def metered_exposure(radiance: np.ndarray) -> float:

@@ -16,7 +16,7 @@ from tests.helpers.checks import no_checks
 from tests.helpers.full import FULL
 
 if TYPE_CHECKING:
-    from sequences.rendering.surface import LitScene
+    from sequences.rendering.render import LitScene
     from sequences.scenes.scene import Scene
 
 checks.install(["filtering", "sequences", "vapor"])

@@ -1,1 +1,1 @@
-"""What rendering is made of: parallelograms, their paint, the light that falls on them, rays, and a camera's sensor."""
+"""Rendering: parallelograms, their paint, the light on them, and rays."""

@@ -15,7 +15,7 @@ MAX_GRID = 45  # points along a side of a large surface
 
 @dataclass(frozen=True)
 class Sampling:
-    """How closely light is looked at.
+    """Density of light samples.
 
     Attributes:
         grid_m: Spacing of the points at which light is computed.
@@ -69,7 +69,7 @@ def bake_light(
         reflectance: Mean reflectance of each chart.
         emitted: Mean radiance given off by each chart, zero for most.
         rng: Source of the sample positions.
-        sampling: How many points and rays; None for those of `Sampling`.
+        sampling: Number of points and rays; None for the defaults.
     """
     sampling = sampling or Sampling()
     quads = geometry.chart_quad
@@ -148,7 +148,7 @@ def _bounce_targets(
     rng: np.random.Generator,
     num_rays: int,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Which light points cosine-distributed rays from each point see; and which points see real space at all."""
+    """Chart and light point (n, k) at the end of cosine-distributed rays; which points see open space."""
     k = np.arange(num_rays)
     u1 = (k + 0.5) / num_rays
     u2 = (k * 0.6180339887 + rng.random((len(point), 1))) % 1.0

@@ -26,7 +26,7 @@ class Part:
     what makes two floors, or two ceiling panels, machine-made copies of each other.
 
     Attributes:
-        cue: Whether this part is one of the few things that tell places apart.
+        cue: Whether this part distinguishes places.
     """
 
     cue: bool = False
@@ -185,9 +185,6 @@ class Tracer:
         """Whether anything lies between each origin and origin + ray."""
         far = np.ones(len(origin), np.float32)
         hit = self._scene.run(
-            np.ascontiguousarray(origin, np.float32),
-            np.ascontiguousarray(ray, np.float32),
-            far,
-            query="OCCLUDED",
+            np.ascontiguousarray(origin, np.float32), np.ascontiguousarray(ray, np.float32), far, query="OCCLUDED"
         )
         return hit == 0

@@ -55,7 +55,7 @@ class Canvas:
 
 @dataclass(frozen=True)
 class Material:
-    """How a surface is painted and what it does with light.
+    """Paint and optical properties of a surface.
 
     Attributes:
         paint: Canvas -> linear reflectance (h, w, 3); times `emission`, the light given off.

@@ -1,4 +1,4 @@
-"""A synthetic scene: what stands in it, who moves through it, how their camera is mounted, and their odometry."""
+"""A synthetic scene: its parts, the path through it, the mount of the camera, and the odometry."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from filtering.se3 import Poses
 from sequences.odometry import OdometryNoise
 from sequences.rendering.light import Sampling
 from sequences.rendering.mesh import Placement
-from sequences.rendering.surface import LitScene, build_scene
+from sequences.rendering.render import LitScene, build_scene
 
 SPLITS = {"train": 1, "test": 2}
 """The number of each split, in seeds."""
@@ -23,21 +23,20 @@ class Scene:
     """A synthetic scene, and how sequences are recorded in it.
 
     Attributes:
-        name: As `find_scene` takes it.
-        seed_numbers: What tells the random numbers of its walks from those of other scenes. New for a new scene, and
-            never changed: path, odometry and sensor noise of every seed follow from them.
-        placements: What stands in it, by split and seed of a walk.
-        path: Poses of the body every 20 ms for a duration in seconds, a split and a seed; whatever the seed leaves open
-            is drawn from the generator.
+        name: For `find_scene`.
+        seed_numbers: Distinguish the random numbers of its walks from those of other scenes. Never changed: path,
+            odometry and sensor noise of every seed follow from them.
+        placements: Its parts, by split and seed of a walk.
+        path: Poses of the body every 20 ms for a duration in seconds, a split, a seed and a generator.
         field_of_view_deg: Of the camera, horizontal.
         base_from_camera: One pose, the extrinsics.
-        has_cues: Whether anything is unique in it, so that a camera can find out where it is.
-        rate_hz: Images a second where no other rate is asked for.
-        noise: Of the odometry where none is asked for.
+        has_cues: Whether anything in it is unique, so that a camera can find its place.
+        rate_hz: Default number of images a second.
+        noise: Default noise of odometry.
         floor_height_m: From floor to floor along z where all floors look alike from end to end; None elsewhere.
-        changes: Whether what stands in it, or its light, differs from walk to walk.
+        changes: Whether its parts or its light differ from walk to walk.
         paint_seed: Of stains, grain and light samples.
-        sampling: How finely light is sampled; None for as usual.
+        sampling: Of light; None for the defaults.
     """
 
     name: str

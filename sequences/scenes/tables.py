@@ -28,12 +28,10 @@ def _turned(part: Part, copies: int) -> Placement:
 
 
 def _room() -> list[Placement]:
-    """Walls, floor, ceiling and lamp; the same after every quarter turn."""
     return [_turned(_room_quarter(), 4), _turned(_lamp_quarter(), 4)]
 
 
 def _parquet(canvas: Canvas) -> np.ndarray:
-    """Squares of oak staves, by turns along and across."""
     across = ((canvas.x // 0.3 + canvas.y // 0.3) % 2 == 0)[..., None]
     base = np.where(across, texture.wood(canvas), texture.wood(canvas) * np.float32(1.25))
     stave = np.where(across[..., 0], canvas.x + 0 * canvas.y, canvas.y + 0 * canvas.x) % 0.075
@@ -41,7 +39,6 @@ def _parquet(canvas: Canvas) -> np.ndarray:
 
 
 def _papered(canvas: Canvas) -> np.ndarray:
-    """Striped wallpaper above a skirting board, a door and a framed picture: every wall has them."""
     base = weathered(canvas, canvas.colour((0.52, 0.50, 0.42)), 0.03)
     stripes = band(canvas.x % 0.4, 0.0, 0.2, 0.01) + 0 * canvas.y
     base = blend(base, (0.38, 0.42, 0.36), stripes)
@@ -60,7 +57,6 @@ OAK = Material(texture.wood, gloss=0.2)
 
 
 def _room_quarter() -> Part:
-    """The wall that closes the room towards +x, and the floor and ceiling of the quadrant left of it."""
     part, h = Part(), HALF_ROOM
     part.quad((h, h, 0), (0, -2 * h, 0), (0, 0, HEIGHT), Material(_papered, texel_m=0.012))
     part.quad((0, 0, 0), (h, 0, 0), (0, h, 0), Material(_parquet, texel_m=0.012))
@@ -69,7 +65,6 @@ def _room_quarter() -> Part:
 
 
 def _lamp_quarter() -> Part:
-    """A quarter of a square lamp below the ceiling."""
     part = Part()
     size, low = 0.8, HEIGHT - 0.12
     part.quad((0, size, low), (size, 0, 0), (0, -size, 0), texture.lit((1.0, 0.95, 0.85), 6.0))
@@ -100,7 +95,6 @@ RADIUS, CORNERS = 0.6, 16  # metres; of the round table, a regular polygon
 
 
 def _round_quarter() -> Part:
-    """A quarter of the round top, with its rim, and one leg."""
     part, low = Part(), TABLE_HEIGHT - TOP
     angle = 2 * np.pi * np.arange(CORNERS) / CORNERS
     edges = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
@@ -135,7 +129,6 @@ PLACES_M = 0.45  # between two plates
 
 
 def _linen(canvas: Canvas) -> np.ndarray:
-    """A white tablecloth with a blue border along its outer edges, and plates."""
     base = weathered(canvas, canvas.colour((0.42, 0.42, 0.41)), 0.03)
     x, y = canvas.point(0), canvas.point(1)
     edge = np.minimum(LENGTH / 2 - x, BREADTH / 2 - np.abs(y))
@@ -154,7 +147,6 @@ def _plates() -> list[tuple[float, float]]:
 
 
 def _dinner_half() -> Part:
-    """The half of the long table towards +x: its cloth with the edges that hang down, and two legs."""
     part = Part()
     length, half = LENGTH / 2, BREADTH / 2
     hanging = plain((0.42, 0.42, 0.41))

@@ -13,8 +13,17 @@ from filtering.kalman import KalmanConfig, KalmanLocalizer
 from filtering.localizer import ParticleLocalizer
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
-from tests.helpers.modelled_walk import ERRORS, SLOW
-from tests.helpers.scaled_errors import AHEAD, APART, observed, scale_along, shifted, simulated, understated
+from tests.helpers.modelled_walk import (
+    AHEAD,
+    APART,
+    ERRORS,
+    SLOW,
+    observed,
+    scale_along,
+    shifted,
+    simulated,
+    understated,
+)
 from tests.helpers.simulation import lifted, motion, seen_at
 
 pytestmark = pytest.mark.usefixtures("unchecked")

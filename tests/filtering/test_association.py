@@ -7,8 +7,7 @@ from scipy.stats import multivariate_t
 from filtering.hypotheses import birth, concatenate, log_sum, with_source
 from filtering.motion import SlowErrors
 from filtering.se3 import Poses
-from tests.helpers.associated import associate
-from tests.helpers.simulation import ERRORS, STD, lifted, seen_at
+from tests.helpers.simulation import ERRORS, STD, associate, lifted, seen_at
 
 NEVER = SlowErrors(scale=0.0, relative_drift=0.0)
 GAUSSIAN = replace(ERRORS, tail=1e6, outlier_probability=1e-6, flat_log_density=-100.0)

@@ -17,8 +17,7 @@ from filtering.motion import Odometry, SlowErrors, require_odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from filtering.smoothing import SmoothingConfig
-from tests.helpers.localizer_walks import new_localizer
-from tests.helpers.simulation import ERRORS, ODOMETRY_STD, STD, Oracle, climb, image_of, lifted, seen_at
+from tests.helpers.simulation import ERRORS, ODOMETRY_STD, STD, Oracle, climb, image_of, lifted, new_localizer, seen_at
 
 GOOD = np.diag(ODOMETRY_STD**2)
 

@@ -8,26 +8,24 @@ from filtering.errors import VaporTrackError
 from filtering.localizer import ParticleLocalizer
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
-from tests.helpers.localizer_walks import (
-    AHEAD,
-    FOREIGN,
-    RNG,
-    STAY,
-    assert_same_belief,
-    new_localizer,
-    walk,
-    weight_near,
-)
 from tests.helpers.simulation import (
+    AHEAD,
     ERRORS,
     FLOOR_HEIGHT_M,
+    FOREIGN,
     ODOMETRY_STD,
+    RNG,
+    STAY,
     Oracle,
+    assert_same_belief,
     climb,
     image_of,
     lifted,
     motion,
+    new_localizer,
     seen_at,
+    walk,
+    weight_near,
 )
 
 FLOORS = (-2, -1, 0, 1, 2)

@@ -11,14 +11,20 @@ from filtering.localizer import ParticleLocalizer
 from filtering.motion import Odometry, SlowErrors
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
-from tests.helpers.localizer_walks import AHEAD, FOREIGN, RNG, STAY, assert_same_belief, new_localizer, walk
 from tests.helpers.simulation import (
+    AHEAD,
     ERRORS,
+    FOREIGN,
+    RNG,
+    STAY,
     STD,
+    assert_same_belief,
     image_errors,
     lifted,
     motion,
+    new_localizer,
     seen_at,
+    walk,
 )
 
 # --- odometry -------------------------------------------------------------------------------------

@@ -8,8 +8,18 @@ from filtering.errors import VaporTrackError
 from filtering.localizer import ParticleLocalizer
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
-from tests.helpers.localizer_walks import AHEAD, RNG, STAY, assert_same_belief, new_localizer, walk
-from tests.helpers.simulation import ERRORS, STD, motion, seen_at
+from tests.helpers.simulation import (
+    AHEAD,
+    ERRORS,
+    RNG,
+    STAY,
+    STD,
+    assert_same_belief,
+    motion,
+    new_localizer,
+    seen_at,
+    walk,
+)
 
 FRONT = Poses.exp(np.array([0.3, 0, 0.1, 0, 0, 0]))
 

@@ -1,4 +1,4 @@
-"""`make fuzz`: damage files for as long as asked, and say what became of them."""
+"""`make fuzz`: damage files for as long as asked, and report the outcomes."""
 
 import argparse
 import multiprocessing
@@ -25,9 +25,9 @@ from tests.fuzz.readers import READERS
 HANG_S = 10.0
 """A reading that takes longer hangs."""
 
-_SETUP_S = 120.0  # a sample may take so long to make
+_SETUP_S = 120.0  # to make a sample
 _BLOCK = 200  # files of one reader in a row
-_ANEW = 77  # exit status of a process that another one goes on for
+_RESTART = 77  # exit status of a process whose remaining files go to a new one
 _FORK = multiprocessing.get_context("fork")
 
 
@@ -42,21 +42,19 @@ class Failure:
 
 @dataclass
 class Tally:
-    """What became of the files of one reader."""
+    """Outcomes of the files of one reader."""
 
     outcomes: Counter[Outcome] = field(default_factory=Counter)
     failures: dict[str, Failure] = field(default_factory=dict)
     seconds: float = 0.0  # of a processor
 
     def add(self, number: int, verdict: Verdict) -> None:
-        """Count a file."""
         self.outcomes[verdict.outcome] += 1
-        if verdict.outcome != "failure":
-            return
-        known = self.failures.setdefault(verdict.cause, Failure(0, number, verdict))
-        known.count += 1
-        if (verdict.size, number) < (known.verdict.size, known.number):
-            known.number, known.verdict = number, verdict
+        if verdict.outcome == "failure":
+            known = self.failures.setdefault(verdict.cause, Failure(0, number, verdict))
+            known.count += 1
+            if (verdict.size, number) < (known.verdict.size, known.number):
+                known.number, known.verdict = number, verdict
 
 
 @dataclass
@@ -68,14 +66,13 @@ class _Running:
     name: str
     numbers: range  # not judged yet
     folder: Path
-    since: float
-    ready: bool = False
+    ready: bool = False  # the sample is made
 
 
 def fuzz(
     blocks: Iterable[tuple[str, range]], *, seed: int, workers: int, until: float | None = None
 ) -> dict[str, Tally]:
-    """Read blocks of damaged files, each in a process of its own, so that what hangs or crashes is survived and named.
+    """Read blocks of damaged files, each in its own process, so that hangs and crashes are survived and named.
 
     Args:
         blocks: Names of readers, and numbers of cases.
@@ -85,7 +82,7 @@ def fuzz(
     """
     tallies: dict[str, Tally] = {}
     waiting = iter(blocks)
-    again: deque[tuple[str, range]] = deque()  # what is left of blocks whose process ended
+    again: deque[tuple[str, range]] = deque()  # the rest of blocks whose process ended
     running: dict[Connection, _Running] = {}
     try:
         while True:
@@ -98,15 +95,13 @@ def fuzz(
                 running[started.connection] = started
             if over or not running:
                 return tallies
-            ready = wait([*running], timeout=0.2)
-            for each in [*running.values()]:
-                tally = tallies.setdefault(each.name, Tally())
-                ended = _take(each, tally) if each.connection in ready else _is_hung(each, tally)
-                if ended:
+            for ready in wait([*running], timeout=0.2):
+                each = running[ready]  # pyright: ignore[reportArgumentType]
+                if _has_ended(each, tallies.setdefault(each.name, Tally())):
                     _end(running.pop(each.connection))
                     if each.numbers:
                         again.append((each.name, each.numbers))
-    except KeyboardInterrupt:  # what is known so far is told
+    except KeyboardInterrupt:  # the outcomes so far are reported
         return tallies
     finally:
         for each in running.values():
@@ -119,55 +114,47 @@ def _start(name: str, numbers: range, seed: int) -> _Running:
     process = _FORK.Process(target=_work, args=(theirs, name, numbers, seed, folder), daemon=True)
     process.start()
     theirs.close()
-    return _Running(process, ours, name, numbers, folder, time.monotonic())
+    return _Running(process, ours, name, numbers, folder)
 
 
 def _work(connection: Connection, name: str, numbers: range, seed: int, folder: Path) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends its processes
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # decoders of images say there what they think
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # where decoders of images complain
+    signal.setitimer(signal.ITIMER_REAL, _SETUP_S)  # SIGALRM ends a process that hangs, in C code too
     sample = Sample(name, folder)
     limit_memory()
     connection.send((None, 0.0))
     for number in numbers:
+        signal.setitimer(signal.ITIMER_REAL, HANG_S)
         begin_s = time.process_time()
-        changes, damage = sample.changes(seed, number)
-        verdict = sample.judge(changes, damage)
+        verdict = sample.judge(*sample.changes(seed, number))
         connection.send((verdict, time.process_time() - begin_s))
         if verdict.cause.startswith("memory"):
-            sys.exit(_ANEW)  # the peak of a process only grows
+            sys.exit(_RESTART)  # the peak of a process only grows
 
 
-def _take(each: _Running, tally: Tally) -> bool:
-    """Take what a process found; whether it has ended."""
-    now = time.monotonic()
+def _has_ended(each: _Running, tally: Tally) -> bool:
+    """Whether a process has ended; else its verdict is taken."""
     try:
         verdict, took_s = each.connection.recv()
     except EOFError:
         each.process.join()
-        if each.numbers and each.ready and each.process.exitcode != _ANEW:
-            tally.add(each.numbers[0], Verdict("failure", f"crash with exit status {each.process.exitcode}"))
+        status = each.process.exitcode
+        if not each.ready:
+            raise RuntimeError(f"the sample of {each.name} cannot be made and read in {_SETUP_S:g} s") from None
+        if each.numbers and status != _RESTART:
+            hung = status == -signal.SIGALRM
+            cause = f"hang over {HANG_S:g} s" if hung else f"crash with exit status {status}"
+            tally.add(each.numbers[0], Verdict("failure", cause))
             each.numbers = each.numbers[1:]
-        elif not each.ready:
-            raise RuntimeError(f"the sample of {each.name} cannot be made or read") from None
         return True
     if each.ready:
         tally.add(each.numbers[0], verdict)
         tally.seconds += took_s
         each.numbers = each.numbers[1:]
-    each.ready, each.since = True, now
+    each.ready = True
     return False
-
-
-def _is_hung(each: _Running, tally: Tally) -> bool:
-    took = time.monotonic() - each.since
-    if took <= (HANG_S if each.ready else _SETUP_S):
-        return False
-    if not each.ready:
-        raise RuntimeError(f"the sample of {each.name} takes more than {_SETUP_S:g} s")
-    tally.add(each.numbers[0], Verdict("failure", f"hang over {HANG_S:g} s"))
-    each.numbers = each.numbers[1:]
-    return True
 
 
 def _end(each: _Running) -> None:
@@ -188,7 +175,7 @@ def rounds(names: Sequence[str], first: int, files: int | None) -> Iterator[tupl
 
 
 def report(tallies: dict[str, Tally], seed: int) -> str:
-    """A table of the readers, and what failed, each with the command that repeats it."""
+    """A table of the readers, and each failure with the command that repeats it."""
     outcomes = get_args(Outcome)
     lines = ["| reader | files | a second | " + " | ".join(outcomes) + " |", "|---" * (3 + len(outcomes)) + "|"]
     for name in sorted(tallies, key=[*READERS].index):
@@ -202,7 +189,7 @@ def report(tallies: dict[str, Tally], seed: int) -> str:
         for cause, failure in sorted(tally.failures.items(), key=lambda item: -item[1].count):
             v = failure.verdict
             lines.append(f"\n{name}: {cause}, {failure.count} times; case {failure.number}: {v.damage}")
-            lines += [f"  {v.said}"] if v.said else []
+            lines += [f"  {v.details}"] if v.details else []
             lines.append(f"  python -m tests.fuzz --reader {name} --seed {seed} --first {failure.number} --files 1")
     return "\n".join(lines)
 
@@ -216,8 +203,7 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=0, help="number of the first file of each reader")
     parser.add_argument("--reader", action="append", choices=[*READERS], help="which readers; all of them by default")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--save", type=Path, help="a folder for what failed, one example a cause")
-    parser.add_argument("--keep", action="store_true", help="add these examples to the corpus that the tests replay")
+    parser.add_argument("--keep", action="store_true", help="add an example of each failure to the tests' corpus")
     o = parser.parse_args()
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     torch.set_num_threads(1)
@@ -225,18 +211,14 @@ def main() -> int:
     until = None if o.files is not None else time.monotonic() + o.seconds
     tallies = fuzz(rounds(o.reader or [*READERS], o.first, o.files), seed=o.seed, workers=o.workers, until=until)
     print(report(tallies, o.seed))
-    for name, tally in tallies.items() if o.save or o.keep else ():
-        for failure in tally.failures.values():
-            with tempfile.TemporaryDirectory() as folder:
-                sample = Sample(name, Path(folder))
-                changes, damage = sample.changes(o.seed, failure.number)
-                if o.keep and not keep(sample, changes, failure.verdict):
-                    print(f"not kept, as too large or known: {name} {failure.number}: {damage}")
-                for file, data in changes.items() if o.save else ():
-                    saved = o.save / f"{name}-{o.seed}-{failure.number}" / file
-                    saved.parent.mkdir(parents=True, exist_ok=True)
-                    saved.write_bytes(data or b"")
-    return 1 if any(tally.failures for tally in tallies.values()) else 0
+    failed = [(name, failure) for name, tally in tallies.items() for failure in tally.failures.values()]
+    for name, failure in failed if o.keep else ():
+        with tempfile.TemporaryDirectory() as folder:
+            sample = Sample(name, Path(folder))
+            changes, damage = sample.changes(o.seed, failure.number)
+            if not keep(sample, changes, failure.verdict):
+                print(f"not kept, as too large or known: {name} {failure.number}: {damage}")
+    return 1 if failed else 0
 
 
 if __name__ == "__main__":

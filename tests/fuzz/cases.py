@@ -23,31 +23,30 @@ from tests.fuzz.reading import Reader, Reading, UnsoundError
 Changes = Mapping[str, bytes | None]
 """Content of files that are not as in the sample, by path; None for those that are gone."""
 
-Outcome = Literal["refused", "same", "told", "silent", "failure"]
-"""Refused with an error of ours, read as if nothing had happened, read with a difference that was counted or said, or
-read with one that was not; or what must not be."""
+Outcome = Literal["refused", "same", "reported", "silent", "failure"]
+"""Refused with an error of ours; read as the whole file; read with a difference that was counted or reported, or with
+one that was not; or a fault of the reader."""
 
-MOST_CHARACTERS = MAX_MESSAGE
-MOST_MEMORY = 2 * 2**30
+_MOST_MEMORY = 2 * 2**30
 _CORPUS = Path(__file__).with_name("corpus.jsonl")
 _MOST_KEPT = 20480  # bytes of a line
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What came of one damaged file.
+    """The outcome of one damaged file.
 
     Attributes:
         outcome: See `Outcome`.
         cause: Of a failure: what happened and where; the same for all files that fail alike.
-        said: Of a failure, more of it.
+        details: Of a failure.
         damage: What was done to the file.
-        size: How many bytes differ from the sample.
+        size: Of a failure, how many bytes differ from the sample.
     """
 
     outcome: Outcome
     cause: str = ""
-    said: str = ""
+    details: str = ""
     damage: str = ""
     size: int = 0
 
@@ -56,59 +55,57 @@ class Sample:
     """A reader's sample in a folder, whole between cases."""
 
     def __init__(self, name: str, folder: Path, reader: Reader | None = None) -> None:
-        self.name = name
-        self.folder = folder
+        self.name, self.folder = name, folder
         self._reader = reader or READERS[name]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             self._path = self._reader.make(folder)
-            self.files = {
-                str(file.relative_to(folder)): file.read_bytes() for file in sorted(folder.rglob("*")) if file.is_file()
-            }
+            files = [file for file in sorted(folder.rglob("*")) if file.is_file()]
+            self.files = {str(file.relative_to(folder)): file.read_bytes() for file in files}
             self._whole = self._reader.read(self._path)
         if self._reader.image_topic is not None and self._reader.stated(self._path) != self._whole.items:
             raise RuntimeError(f"{name}: {self._whole.items} images read of {self._reader.stated(self._path)} stated")
 
     def changes(self, seed: int, number: int) -> tuple[Changes, str]:
-        """The damage of a case, and what it is in words; the same whenever it is asked for."""
+        """The damage of a case, and its description; the same at every call."""
         rng = np.random.default_rng([seed, zlib.crc32(self.name.encode()), number])
-        images = (".png", ".jpg")
-        described = [name for name in self.files if not name.endswith(images)]
+        described = [name for name in self.files if not name.endswith((".png", ".jpg"))]
         changed: dict[str, bytes | None] = {}
-        told = []
+        damages = []
         for _ in range(1 if rng.random() < 0.8 else int(rng.integers(2, 4))):
             name = pick(rng, described if described and rng.random() < 0.8 else [*self.files])
             before = changed.get(name, self.files[name])
             if before is None or rng.random() < 0.03:
-                # Not one of its kind: that may be a whole list of other images.
+                # A file of another kind: a whole list of other images, perhaps.
                 other = pick(rng, [each for each in self.files if not each.endswith(Path(name).suffix)] or [name])
                 changed[name] = pick(rng, (None, b"", self.files[other]))
-                told.append(f"{name}: gone, empty, or {other}")
+                damages.append(f"{name}: gone, empty, or {other}")
                 continue
             try:
                 changed[name], words = damage_of(name)(before, rng)
-            except Exception as error:  # of what is damaged already, more may not be understood
-                if not told:
+            except Exception as error:  # a file that is damaged already may not be understood
+                if not damages:
                     raise RuntimeError(f"damaging {name} of {self.name}, case {number}") from error
                 continue
-            told.append(f"{name}: {words}")
-        return changed, "; ".join(told)
+            damages.append(f"{name}: {words}")
+        return changed, "; ".join(damages)
 
     def judge(self, changes: Changes, damage: str = "") -> Verdict:
-        """What the reader makes of the sample with some of its files changed."""
-        with self._changed(changes):
-            peak = _peak_memory()
-            with warnings.catch_warnings(record=True) as warned:
-                warnings.simplefilter("always")
-                outcome, cause, said = self._read()
+        """Read the sample with some of its files changed."""
+        with self._changed(changes), warnings.catch_warnings(record=True) as warned:
+            warnings.simplefilter("always")
+            peak = _status_bytes("VmPeak")
+            outcome, cause, details = self._read()
             if warned and outcome != "failure":
-                first = warned[0]
-                where = f"{Path(first.filename).name}:{first.lineno}"
-                outcome, cause, said = "failure", f"warning: {first.category.__name__} at {where}", str(first.message)
-            if _peak_memory() - peak > MOST_MEMORY:
+                w = warned[0]
+                cause = f"warning: {w.category.__name__} at {Path(w.filename).name}:{w.lineno}"
+                outcome, details = "failure", str(w.message)
+            if _status_bytes("VmPeak") - peak > _MOST_MEMORY:
                 outcome, cause = "failure", "memory: over 2 GB"
-        size = sum(_difference(self.files[name], data) for name, data in changes.items())
-        return Verdict(outcome, cause, said[:400], damage, size)
+        if outcome != "failure":
+            return Verdict(outcome, damage=damage)
+        size = sum(_difference(self.files[name], data or b"") for name, data in changes.items())
+        return Verdict(outcome, cause, details[:400], damage, size)
 
     def _read(self) -> tuple[Outcome, str, str]:
         try:
@@ -118,7 +115,7 @@ class Sample:
         except VaporTrackError as error:
             if any(isinstance(each, MemoryError) for each in _chain(error)):
                 return "failure", "memory: over the limit", str(error)
-            if (length := len(str(error).replace(str(self.folder), ""))) > MOST_CHARACTERS:  # wherever it lies
+            if (length := len(str(error).replace(str(self.folder), ""))) > MAX_MESSAGE:  # wherever it lies
                 return "failure", f"long message at {_place(error)}", f"{length} characters: {error}"
             return "refused", "", ""
         except UnsoundError as error:
@@ -129,17 +126,16 @@ class Sample:
             return "failure", f"traceback: {type(error).__name__} at {_place(error)}", str(error)
         if found.content == self._whole.content:
             return "same", "", ""
-        return ("silent" if found.told == self._whole.told else "told"), "", ""
+        return ("silent" if found.reported == self._whole.reported else "reported"), "", ""
 
     def _lost(self, found: Reading) -> str:
-        """How images were lost without a word; nothing where none was, or where no reader can know of it."""
-        stated = self._reader.stated(self._path)
-        counted = found.items + found.images_told
-        if any(each.endswith("not read") for each in found.told):  # a file of a folder, by its name
+        """How images were lost uncounted; empty where none was, or where no reader can know of it."""
+        if any(each.endswith("not read") for each in found.reported):  # a file of a folder, by its name
             return ""
-        if stated is not None:
-            return f"{stated} stated, {found.items} read, {dict(found.told)}" if counted < stated else ""
-        silent = self._reader.image_topic is None and found.told == self._whole.told
+        if (stated := self._reader.stated(self._path)) is not None:
+            counted = found.items + found.images_skipped
+            return f"{stated} stated, {found.items} read, {dict(found.reported)}" if counted < stated else ""
+        silent = self._reader.image_topic is None and found.reported == self._whole.reported
         return f"{found.items} of {self._whole.items} read" if silent and found.items < self._whole.items else ""
 
     @contextmanager
@@ -156,13 +152,13 @@ class Sample:
                 (self.folder / name).write_bytes(self.files[name])
 
 
-# --- what is kept ----------------------------------------------------------------------------------
+# --- the corpus ------------------------------------------------------------------------------------
 
 
 def replay() -> Iterator[tuple[str, Verdict]]:
     """Readers and verdicts of the cases that once failed.
 
-    Damaged files are kept whole: what else is made by numpy, OpenCV and compressors may have other last bits elsewhere.
+    Damaged files are kept whole: numpy, OpenCV and compressors may give other last bits elsewhere.
     """
     entries = [json.loads(line) for line in _CORPUS.read_text(encoding="ascii").splitlines()]
     for name in dict.fromkeys(entry["reader"] for entry in entries):
@@ -170,13 +166,17 @@ def replay() -> Iterator[tuple[str, Verdict]]:
             sample = Sample(name, Path(folder))
             for entry in entries:
                 if entry["reader"] == name:
-                    changes = {file: _unpacked(text) for file, text in entry["files"].items()}
+                    packed = entry["files"].items()
+                    changes = {file: text and zlib.decompress(base64.b85decode(text)) for file, text in packed}
                     yield name, sample.judge(changes, entry["damage"])
 
 
 def keep(sample: Sample, changes: Changes, verdict: Verdict) -> bool:
-    """Add a case to those that are kept; False where it is too large or there already."""
-    files = {name: _packed(data) for name, data in changes.items()}
+    """Add a case to the corpus; False where it is too large or there already."""
+    files = {
+        name: None if data is None else base64.b85encode(zlib.compress(data, 9)).decode()
+        for name, data in changes.items()
+    }
     line = json.dumps({"reader": sample.name, "cause": verdict.cause, "damage": verdict.damage[:200], "files": files})
     known = _CORPUS.read_text(encoding="ascii").splitlines() if _CORPUS.exists() else []
     if len(line) > _MOST_KEPT or any(json.loads(each)["files"] == files for each in known):
@@ -185,61 +185,38 @@ def keep(sample: Sample, changes: Changes, verdict: Verdict) -> bool:
     return True
 
 
-def _packed(data: bytes | None) -> str | None:
-    return None if data is None else base64.b85encode(zlib.compress(data, 9)).decode()
+def _difference(one: bytes, other: bytes) -> int:
+    """How many bytes remain between the first and the last that differ."""
+    begin = _alike(one, other)
+    return max(len(one), len(other)) - begin - _alike(one[begin:][::-1], other[begin:][::-1])
 
 
-def _unpacked(text: str | None) -> bytes | None:
-    return None if text is None else zlib.decompress(base64.b85decode(text))
+def _alike(one: bytes, other: bytes) -> int:
+    differs = (i for i, (a, b) in enumerate(zip(one, other, strict=False)) if a != b)
+    return next(differs, min(len(one), len(other)))
 
 
-def _same(one: bytes, other: bytes) -> tuple[int, int]:
-    """How many bytes are the same at the beginning, and of the rest at the end."""
-    shortest = min(len(one), len(other))
-    a, b = np.frombuffer(one[:shortest], np.uint8), np.frombuffer(other[:shortest], np.uint8)
-    differs = np.flatnonzero(a != b)
-    begin = int(differs[0]) if len(differs) else shortest
-    a, b = (np.frombuffer(each[len(each) - shortest + begin :], np.uint8)[::-1] for each in (one, other))
-    differs = np.flatnonzero(a != b)
-    return begin, int(differs[0]) if len(differs) else shortest - begin
-
-
-def _difference(whole: bytes, data: bytes | None) -> int:
-    if data is None:
-        return len(whole)
-    begin, end = _same(whole, data)
-    return max(len(whole), len(data)) - begin - end
-
-
-# --- what happened ---------------------------------------------------------------------------------
+# --- memory and errors -----------------------------------------------------------------------------
 
 
 def limit_memory() -> None:
-    """Let this process take no more than three times the limit beside what it has, for want of which it would swap."""
-    held = _status_bytes("VmSize")
-    resource.setrlimit(resource.RLIMIT_AS, (held + 3 * MOST_MEMORY, held + 3 * MOST_MEMORY))
-
-
-def _peak_memory() -> int:
-    return _status_bytes("VmPeak")
+    """Limit this process to three times the allowed memory beside what it has, so that it does not swap."""
+    most = _status_bytes("VmSize") + 3 * _MOST_MEMORY
+    resource.setrlimit(resource.RLIMIT_AS, (most, most))
 
 
 def _status_bytes(name: str) -> int:
     status = Path("/proc/self/status")
     if not status.exists():  # elsewhere than on Linux memory is not watched
         return 0
-    line = next(line for line in status.read_text().splitlines() if line.startswith(name))
-    return 1024 * int(line.split()[1])
+    return next(1024 * int(line.split()[1]) for line in status.read_text().splitlines() if line.startswith(name))
 
 
-def _chain(error: BaseException) -> Iterator[BaseException]:
-    """The error, and what it was raised from or while handling."""
-    seen: set[int] = set()
-    each: BaseException | None = error
-    while each is not None and id(each) not in seen:
-        seen.add(id(each))
-        yield each
-        each = each.__cause__ or each.__context__
+def _chain(error: BaseException | None) -> Iterator[BaseException]:
+    """The error, and the errors from which or while handling which it was raised."""
+    while error is not None:
+        yield error
+        error = error.__cause__ or error.__context__
 
 
 def _place(error: BaseException) -> str:

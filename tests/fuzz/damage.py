@@ -24,10 +24,10 @@ from vapor.tensor_files import CHECKSUM, content_sha256
 
 Rng = np.random.Generator
 Damage = Callable[[bytes, Rng], tuple[bytes, str]]
-"""The bytes of a whole file -> of a damaged one, and what was done to it, in words."""
+"""The bytes of a whole file -> of a damaged one, and a description of the damage."""
 
 NUMBERS = (0, 1, 2, 0x7F, 0x80, 0xFF, 0x7FFF, 0xFFFF, 10**6, 2**31 - 1, 2**31, 2**32 - 1, 10**15, 2**63 - 1, 2**64 - 1)
-"""At which lengths, offsets and counts go wrong."""
+"""Critical lengths, offsets and counts."""
 
 WORDS = (
     *("nan", "inf", "-inf", "0", "-0", "-1", "0.5", "1e-320", "1e308", "-1e308", "1e400", "1e999999", "1e-999999"),
@@ -39,34 +39,29 @@ WORDS = (
 
 
 def damaged_bytes(data: bytes, rng: Rng) -> tuple[bytes, str]:
-    """What needs no knowledge of the format."""
+    """Damage that needs no knowledge of the format."""
     size = len(data)
-    at = int(rng.integers(size + 1))
-    length = min(int(2 ** rng.uniform(0, np.log2(size + 2))), size - at)
-    kind = int(rng.integers(9))
-    if kind == 0 and size:
-        at, bit = int(rng.integers(size)), int(rng.integers(8))
-        return data[:at] + bytes([data[at] ^ 1 << bit]) + data[at + 1 :], f"bit {bit} of byte {at} flipped"
-    if kind == 1:
-        count = int(rng.integers(1, 9))
-        return data[:at] + rng.bytes(count) + data[at + count :], f"{count} random bytes at {at}"
-    if kind == 2:
-        value, width = pick(rng, NUMBERS), pick(rng, (2, 4, 8))
-        packed = (value % 256**width).to_bytes(width, pick(rng, ("little", "big")))
-        return data[:at] + packed + data[at + width :], f"the number {value} in {width} bytes at {at}"
-    if kind == 3:
-        return data[:at], f"cut at byte {at} of {size}"
-    if kind == 4:
-        return data[:at] + data[at + length :], f"bytes {at} to {at + length} left out"
-    if kind == 5:
-        return data[: at + length] + data[at:], f"bytes {at} to {at + length} twice"
-    if kind == 6:
-        return data[:at] + bytes(length) + data[at + length :], f"bytes {at} to {at + length} zeroed"
-    if kind == 7:
-        extra = rng.bytes(int(rng.integers(1, 65)))
-        return data[:at] + extra + data[at:], f"{len(extra)} bytes inserted at {at}"
-    start = int(rng.integers(size + 1))
-    return data[:at] + data[start : start + length] + data[at + length :], f"bytes of {start} at {at}, {length} of them"
+    at, start = int(rng.integers(size + 1)), int(rng.integers(size + 1))
+    length = min(int(2 ** rng.uniform(0, np.log2(size + 2))), size - at)  # 1 or more, but at the end
+    before, cut, after = data[:at], data[at : at + length], data[at + length :]
+    extra = rng.bytes(int(rng.integers(1, 65)))
+    bit, value, width = 1 << int(rng.integers(8)), pick(rng, NUMBERS), pick(rng, (2, 4, 8))
+    number = (value % 256**width).to_bytes(width, pick(rng, ("little", "big")))
+    choices = (
+        (
+            before + bytes([each ^ bit for each in data[at : at + 1]]) + data[at + 1 :],
+            f"bit {bit} of byte {at} flipped",
+        ),
+        (before + extra[:8] + data[at + len(extra[:8]) :], f"{len(extra[:8])} random bytes at {at}"),
+        (before + number + data[at + width :], f"the number {value} in {width} bytes at {at}"),
+        (before, f"cut at byte {at} of {size}"),
+        (before + after, f"bytes {at} to {at + length} left out"),
+        (before + cut + cut + after, f"bytes {at} to {at + length} twice"),
+        (before + bytes(length) + after, f"bytes {at} to {at + length} zeroed"),
+        (before + extra + cut + after, f"{len(extra)} bytes inserted at {at}"),
+        (before + data[start : start + length] + after, f"bytes of {start} at {at}, {length} of them"),
+    )
+    return pick(rng, choices)
 
 
 def damaged_text(data: bytes, rng: Rng) -> tuple[bytes, str]:
@@ -76,21 +71,23 @@ def damaged_text(data: bytes, rng: Rng) -> tuple[bytes, str]:
     if kind < 6 and (words := [*re.finditer(r"[^\s,;:\[\]{}\"']+", text)]):
         found = pick(rng, words)
         word = pick(rng, WORDS) if kind < 5 else damaged_word(found[0], rng)
-        begin, end = found.span()
-        return _encoded(text[:begin] + word + text[end:]), f"{short(found[0])} became {short(word)}"
-    lines = text.splitlines(keepends=True)
-    if kind < 9 and lines:
+        changed = text[: found.start()] + word + text[found.end() :]
+        note = f"{short(found[0])} became {short(word)}"
+    elif kind < 9 and (lines := text.splitlines(keepends=True)):
         i, j = int(rng.integers(len(lines))), int(rng.integers(len(lines)))
-        line = lines[i]
+        line, note = lines[i], f"lines {i + 1} and {j + 1} exchanged"
         if kind == 6:
+            note = f"line {i + 1} left out"
             del lines[i]
-            return _encoded("".join(lines)), f"line {i + 1} left out"
-        if kind == 7:
-            lines[j:j] = [line]
-            return _encoded("".join(lines)), f"line {i + 1} again as line {j + 1}"
-        lines[i], lines[j] = lines[j], line
-        return _encoded("".join(lines)), f"lines {i + 1} and {j + 1} exchanged"
-    return damaged_bytes(data, rng)
+        elif kind == 7:
+            note = f"line {i + 1} again as line {j + 1}"
+            lines.insert(j, line)
+        else:
+            lines[i], lines[j] = lines[j], line
+        changed = "".join(lines)
+    else:
+        return damaged_bytes(data, rng)
+    return changed.encode("utf-8", "surrogatepass" if "\ud800" in changed else "surrogateescape"), note
 
 
 def damaged_word(word: str, rng: Rng) -> str:
@@ -105,32 +102,29 @@ def damaged_json(data: bytes, rng: Rng) -> tuple[bytes, str]:
         document = json.loads(data)
     except (ValueError, RecursionError):
         return damaged_text(data, rng)
-    if rng.random() < 0.15:
-        return damaged_text(data, rng)
     holders = [*_holders(document)]
-    if not holders:
+    if not holders or rng.random() < 0.15:
         return damaged_text(data, rng)
     holder, key = pick(rng, holders)
-    before = holder[key]
-    kind = int(rng.integers(8))
+    before, kind, raw = holder[key], int(rng.integers(8)), None
+    note = f"{key!r} left out"
     if kind == 0:
         del holder[key]
-        return json.dumps(document).encode(), f"{key!r} left out"
-    if kind == 1:
+    elif kind == 1:
         holder[key] = pick(rng, holders)[0]
-        if holder[key] is holder or _contains(holder[key], holder):
+        if holder[key] is holder or any(each is holder or each[k] is holder for each, k in _holders(holder[key])):
             holder[key] = [before]
-        return json.dumps(document).encode(), f"{key!r} became another part of the document"
-    if kind == 2 and isinstance(before, list):
+        note = f"{key!r} became another part of the document"
+    elif kind == 2 and isinstance(before, list):
         holder[key] = before + before if rng.random() < 0.5 else before[: int(rng.integers(len(before) + 1))]
-        return json.dumps(document).encode(), f"{key!r} with {len(holder[key])} items for {len(before)}"
-    holder[key] = mark = "\0here\0"
+        note = f"{key!r} with {len(holder[key])} items for {len(before)}"
+    else:
+        raw = pick(rng, _JSON_VALUES)
+        if kind < 5 and isinstance(before, int | float) and not isinstance(before, bool):
+            raw = json.dumps(pick(rng, (before * 1000, before / 1000, -before, before + 1, before * 10.0**300)))
+        holder[key], note = "\0here\0", f"{key!r} became {short(raw)}"
     text = json.dumps(document)
-    raw = pick(rng, _JSON_VALUES)
-    if kind < 5 and isinstance(before, int | float) and not isinstance(before, bool):
-        factors = (before * 1000, before / 1000, -before, before + 1, before * 10.0**300)
-        raw = json.dumps(pick(rng, factors))
-    return text.replace(json.dumps(mark), raw).encode(), f"{key!r} became {short(raw)}"
+    return (text if raw is None else text.replace(json.dumps("\0here\0"), raw)).encode(), note
 
 
 _JSON_VALUES = (
@@ -148,10 +142,6 @@ def _holders(value: Any) -> Any:
         yield from _holders(value[key])
 
 
-def _contains(value: Any, part: Any) -> bool:
-    return any(holder[key] is part or holder is part for holder, key in _holders(value))
-
-
 def damaged_png(data: bytes, rng: Rng) -> tuple[bytes, str]:
     """Bytes of an image; of a PNG also what its header says, under a checksum that is right."""
     if rng.random() < 0.6 or data[:4] != b"\x89PNG":
@@ -160,11 +150,11 @@ def damaged_png(data: bytes, rng: Rng) -> tuple[bytes, str]:
     header = bytearray(data[12:29])
     if rng.random() < 0.7:
         header[at - 12 : at - 8] = value.to_bytes(4, "big")
-        told = f"PNG of {'width' if at == 16 else 'height'} {value}"
+        note = f"PNG of {'width' if at == 16 else 'height'} {value}"
     else:
         header[12:15] = bytes(int(rng.choice([0, 1, 2, 3, 4, 6, 8, 16, 255])) for _ in range(3))
-        told = f"PNG of depth, colours and compression {tuple(header[12:15])}"
-    return data[:12] + bytes(header) + zlib.crc32(header).to_bytes(4, "big") + data[33:], told
+        note = f"PNG of depth, colours and compression {tuple(header[12:15])}"
+    return data[:12] + bytes(header) + zlib.crc32(header).to_bytes(4, "big") + data[33:], note
 
 
 def damaged_zip(data: bytes, rng: Rng) -> tuple[bytes, str]:
@@ -176,8 +166,8 @@ def damaged_zip(data: bytes, rng: Rng) -> tuple[bytes, str]:
     name = pick(rng, [*members])
     if rng.random() < 0.6:
         name = next((each for each in members if "metadata" in each), name)
-    members[name], told = damage_of(f"{name}.json" if "metadata" in name else name)(members[name], rng)
-    return zipped(members), f"{name}: {told}"
+    members[name], note = damage_of(f"{name}.json" if "metadata" in name else name)(members[name], rng)
+    return zipped(members), f"{name}: {note}"
 
 
 def zipped(members: dict[str, bytes]) -> bytes:
@@ -191,10 +181,10 @@ def zipped(members: dict[str, bytes]) -> bytes:
 
 def damaged_model(data: bytes, rng: Rng) -> tuple[bytes, str]:
     """A safetensors file: its header, the configuration in that, or its tensors; mostly with a checksum that fits."""
-    damaged, told = _damaged_model(data, rng)
+    damaged, note = _damaged_model(data, rng)
     if rng.random() < 0.7 and (fitting := with_checksum(damaged)) is not None:
-        return fitting, f"{told}, checksum made to fit"
-    return damaged, told
+        return fitting, f"{note}, checksum made to fit"
+    return damaged, note
 
 
 def with_checksum(data: bytes) -> bytes | None:
@@ -219,60 +209,53 @@ def _damaged_model(data: bytes, rng: Rng) -> tuple[bytes, str]:
     kind = int(rng.integers(8))
     (length,) = struct.unpack("<Q", data[:8])
     header, tensors = data[8 : 8 + length], data[8 + length :]
+    content = json.loads(header)
+    metadata = content["__metadata__"]
     if kind == 0:
         return damaged_bytes(data, rng)
     if kind == 1:
         value = pick(rng, (*NUMBERS, length - 1, length + 1, len(data)))
         return struct.pack("<Q", value) + data[8:], f"a header of {value} bytes"
     if kind == 2:
-        header, told = damaged_json(header, rng)
-        return _model(header, tensors), f"header: {told}"
+        header, note = damaged_json(header, rng)
+        return _model(header, tensors), f"header: {note}"
     if kind == 3:
-        content = json.loads(header)
-        name = pick(rng, [*content["__metadata__"]])
-        text, told = damaged_json(content["__metadata__"][name].encode(), rng)
-        content["__metadata__"][name] = text.decode("utf-8", "replace")
-        return _model(json.dumps(content).encode(), tensors), f"{name} in the metadata: {told}"
-    content = json.loads(header)
-    metadata = content.pop("__metadata__")
-    name = pick(rng, [*content])
+        name = pick(rng, [*metadata])
+        text, note = damaged_json(metadata[name].encode(), rng)
+        metadata[name] = text.decode("utf-8", "replace")
+        return _model(json.dumps(content).encode(), tensors), f"{name} in the metadata: {note}"
+    name = pick(rng, [each for each in content if each != "__metadata__"])
     if kind < 6:
         return _with_other_tensor(load(data), metadata, name, rng)
     begin, end = content[name]["data_offsets"]
-    values, told = damaged_bytes(tensors[begin:end], rng)
+    values, note = damaged_bytes(tensors[begin:end], rng)
     values = values[: end - begin].ljust(end - begin, b"\0")
-    return data[: 8 + length] + tensors[:begin] + values + tensors[end:], f"tensor {name}: {told}"
+    return data[: 8 + length] + tensors[:begin] + values + tensors[end:], f"tensor {name}: {note}"
 
 
 def _with_other_tensor(tensors: dict[str, Tensor], metadata: dict[str, str], name: str, rng: Rng) -> tuple[bytes, str]:
     """A file of tensors of which one is gone, or has another name, type, shape or content."""
-    before, kind = tensors.pop(name), int(rng.integers(6))
-    told = f"tensor {name} of {list(before.shape)}"
-    if kind == 1:
-        tensors[name + pick(rng, ("x", ".", "\0", "9" * 5000))] = before
-        told += " with another name"
-    elif kind == 2:
-        types = (torch.float64, torch.float16, torch.bfloat16, torch.int8, torch.int64, torch.bool, torch.complex64)
-        tensors[name] = before.to(pick(rng, types))
-        told += f" as {tensors[name].dtype}"
-    elif kind == 3:
-        flat = before.flatten()
-        tensors[name] = pick(
-            rng, (flat, before[None], flat[:0], flat[:1], torch.cat([flat, flat]), flat.reshape(before.shape[::-1]))
-        )
-        told += f" became {list(tensors[name].shape)}"
-    elif kind == 4:
-        values = (math.nan, math.inf, -math.inf, 6e4, -1.0, 0.0) if before.is_floating_point() else (-1, 2**40)
-        tensors[name], value = before.clone(), pick(rng, values)
-        tensors[name].view(-1)[int(rng.integers(max(before.numel(), 1))) :][:1] = value
-        told += f" with the number {value}"
-    elif kind == 5:
-        other = pick(rng, [*tensors])
-        tensors[name] = tensors[other].clone()
-        told += f" became {other}"
-    else:
-        told += " gone"
-    return in_order(save({each: value.contiguous() for each, value in tensors.items()}, metadata)), told
+    before = tensors.pop(name)
+    flat = before.flatten()
+    number = pick(rng, (math.nan, math.inf, -math.inf, 6e4, -1.0, 0.0) if before.is_floating_point() else (-1, 2**40))
+    one_other = before.clone()
+    one_other.view(-1)[int(rng.integers(max(before.numel(), 1))) :][:1] = number
+    types = (torch.float64, torch.float16, torch.bfloat16, torch.int8, torch.int64, torch.bool, torch.complex64)
+    shapes = (flat, before[None], flat[:0], flat[:1], torch.cat([flat, flat]), flat.reshape(before.shape[::-1]))
+    new_name, other = name + pick(rng, ("x", ".", "\0", "9" * 5000)), pick(rng, [*tensors])
+    changed, note = pick(
+        rng,
+        (
+            ({}, "gone"),
+            ({new_name: before}, "with another name"),
+            ({name: before.to(kind := pick(rng, types))}, f"as {kind}"),
+            ({name: (shaped := pick(rng, shapes))}, f"became {list(shaped.shape)}"),
+            ({name: one_other}, f"with the number {number}"),
+            ({name: tensors[other].clone()}, f"became {other}"),
+        ),
+    )
+    content = {each: value.contiguous() for each, value in (tensors | changed).items()}
+    return in_order(save(content, metadata)), f"tensor {name} of {list(before.shape)} {note}"
 
 
 def _model(header: bytes, tensors: bytes) -> bytes:
@@ -280,57 +263,49 @@ def _model(header: bytes, tensors: bytes) -> bytes:
 
 
 def damaged_onnx(data: bytes, rng: Rng) -> tuple[bytes, str]:
-    """An exported model: its bytes, its graph, its metadata or what these hold; mostly under a digest that fits."""
+    """An exported model: its bytes, graph, metadata or tensors; mostly under a digest that fits."""
     kind = int(rng.integers(8))
     if kind == 0:
         return damaged_bytes(data, rng)
+    if kind > 5:
+        return _with_other_description(data, rng)
     graph, entries = take_apart(data)
     number = int(rng.integers(len(entries)))
     name, text = entries[number]
+    words = name.decode()
     if kind == 1:
-        graph, told = damaged_bytes(graph, rng)
-        told = f"graph: {told}"
+        graph, note = damaged_bytes(graph, rng)
+        note = f"graph: {note}"
     elif kind == 2:
-        length = (
-            onnx_file._as_varint(pick(rng, (*NUMBERS, len(data), len(data) - 1)))
-            if rng.random() < 0.7
-            else b"\xff" * 1000
-        )
-        graph, told = b"\x3a" + length + graph[8:], "a graph of another length"
+        size = onnx_file._as_varint(pick(rng, (*NUMBERS, len(data), len(data) - 1)))
+        graph = b"\x3a" + (size if rng.random() < 0.7 else b"\xff" * 1000) + graph[8:]
+        note = "a graph of another length"
     elif kind == 3:
         other = [entries[:number] + entries[number + 1 :], [*entries, (name, text)], [*entries, entries[number - 1]]]
-        entries, told = pick(rng, (*other, entries[::-1])), f"{name.decode()} gone, twice or in another order"
+        entries, note = pick(rng, (*other, entries[::-1])), f"{words} gone, twice or in another order"
     elif kind == 4:
-        damaged, told = damaged_bytes(name, rng)
-        entries[number], told = (damaged, text), f"name {name.decode()}: {told}"
-    elif kind == 5:
-        damaged, told = (damaged_json if name == CONFIG.encode() else damaged_bytes)(text, rng)
-        entries[number], told = (name, damaged), f"{name.decode()}: {told}"
+        name, note = damaged_bytes(name, rng)
+        entries[number], note = (name, text), f"name {words}: {note}"
     else:
-        return _with_other_description(data, rng)
+        text, note = (damaged_json if words == CONFIG else damaged_bytes)(text, rng)
+        entries[number], note = (name, text), f"{words}: {note}"
     if rng.random() < 0.7:
-        return with_digest(graph, entries), f"{told}, digest made to fit"
-    return put_together(graph, entries), told
+        return with_digest(graph, entries), f"{note}, digest made to fit"
+    return put_together(graph, entries), note
 
 
 def _with_other_description(data: bytes, rng: Rng) -> tuple[bytes, str]:
     """An exported model whose tensors and settings are damaged, mostly with settings for all to read that fit."""
-    told = ""
-
-    def damaged(arrays: bytes) -> bytes:
-        nonlocal told
-        arrays, told = damaged_model(arrays, rng)
-        return arrays
-
-    changed = with_arrays(data, damaged)
-    graph, entries = take_apart(changed)
+    arrays, note = damaged_model(base64.b64decode(dict(take_apart(data)[1])[ARRAYS.encode()]), rng)
+    changed = with_arrays(data, lambda _: arrays)
     try:
-        config = metadata_of(base64.b64decode(dict(entries)[ARRAYS.encode()]))["config"].encode("utf-8", "replace")
-    except (ValueError, TypeError, LookupError, AttributeError, RecursionError, struct.error):  # settings are none now
-        return changed, told
+        config = metadata_of(arrays)["config"].encode("utf-8", "replace")
+    except (ValueError, TypeError, LookupError, AttributeError, RecursionError, struct.error):  # no settings any more
+        return changed, note
+    graph, entries = take_apart(changed)
     if rng.random() < 0.9:
         entries = [(name, config if name == CONFIG.encode() else text) for name, text in entries]
-    return put_together(graph, entries), told
+    return put_together(graph, entries), note
 
 
 def damage_of(name: str) -> Damage:
@@ -357,7 +332,3 @@ def pick(rng: Rng, choices: Any) -> Any:
 def short(text: str) -> str:
     """At most forty characters of it."""
     return repr(text) if len(text) <= 40 else f"{text[:20]!r}... of {len(text)}"
-
-
-def _encoded(text: str) -> bytes:
-    return text.encode("utf-8", "surrogatepass" if "\ud800" in text else "surrogateescape")

@@ -4,7 +4,6 @@ import dataclasses
 import io
 import struct
 import zlib
-from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
@@ -15,34 +14,10 @@ from mcap import records
 from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.opcode import Opcode
 
-from tests.fuzz.damage import (
-    NUMBERS,
-    WORDS,
-    Rng,
-    damaged_bytes,
-    damaged_json,
-    damaged_png,
-    pick,
-    short,
-)
+from tests.fuzz.damage import NUMBERS, WORDS, Rng, damaged_bytes, damaged_json, damaged_png, pick, short
 
 _MAGIC = b"\x89MCAP0\r\n"
-_CLASSES: dict[int, Any] = {
-    Opcode.HEADER: records.Header,
-    Opcode.FOOTER: records.Footer,
-    Opcode.SCHEMA: records.Schema,
-    Opcode.CHANNEL: records.Channel,
-    Opcode.MESSAGE: records.Message,
-    Opcode.CHUNK: records.Chunk,
-    Opcode.MESSAGE_INDEX: records.MessageIndex,
-    Opcode.CHUNK_INDEX: records.ChunkIndex,
-    Opcode.ATTACHMENT: records.Attachment,
-    Opcode.STATISTICS: records.Statistics,
-    Opcode.METADATA: records.Metadata,
-    Opcode.METADATA_INDEX: records.MetadataIndex,
-    Opcode.SUMMARY_OFFSET: records.SummaryOffset,
-    Opcode.DATA_END: records.DataEnd,
-}
+_CLASSES: dict[int, Any] = {each: getattr(records, each.name.title().replace("_", "")) for each in Opcode}
 
 
 @dataclass
@@ -183,10 +158,10 @@ def damaged_mcap(data: bytes, rng: Rng) -> tuple[bytes, str]:
         return damaged_bytes(data, rng)
     found = take_apart(data)
     repair = bool(rng.random() < 0.7)
-    told = _damage_record(found, rng)
+    note = _damage_record(found, rng)
     compression = pick(rng, ("", "lz4", "zstd")) if rng.random() < 0.1 else None
     damaged = put_together(found, repair=repair, compression=compression)
-    return damaged, f"{told}{', checksums and offsets made to fit' if repair else ''}"
+    return damaged, f"{note}{', checksums and offsets made to fit' if repair else ''}"
 
 
 def _damage_record(found: list[Record], rng: Rng) -> str:
@@ -211,25 +186,22 @@ def _damage_record(found: list[Record], rng: Rng) -> str:
         other.insert(j, record)
         return f"{name} twice"
     if what == 2:
-        place, j = pick(rng, by_kind[kind])
-        place[j], by_kind[kind][0][0][by_kind[kind][0][1]] = by_kind[kind][0][0][by_kind[kind][0][1]], place[j]
+        (other, j), (one, k) = pick(rng, by_kind[kind]), by_kind[kind][0]
+        other[j], one[k] = one[k], other[j]
         return f"{name} in another order"
     if what == 3:
         record.opcode = int(rng.integers(256))
         return f"{name} with opcode {record.opcode}"
     if what == 4:
-        record.body, told = damaged_bytes(record.body, rng)
-        return f"{name}: {told}"
+        record.body, note = damaged_bytes(record.body, rng)
+        return f"{name}: {note}"
     fields = record.parsed()
-    if fields is None:
-        record.body, told = damaged_bytes(record.body, rng)
-        return f"{name}: {told}"
-    told = _damage_message(fields, rng) if isinstance(fields, records.Message) else _damage_field(fields, rng)
     try:
+        note = _damage_message(fields, rng) if isinstance(fields, records.Message) else _damage_field(fields, rng)
         record.body = _body(fields)
-    except (struct.error, UnicodeEncodeError, OverflowError):  # more than the field holds
-        record.body, told = damaged_bytes(record.body, rng)
-    return f"{name}: {told}"
+    except (TypeError, struct.error, UnicodeEncodeError, OverflowError):  # no fields, or more than one can hold
+        record.body, note = damaged_bytes(record.body, rng)
+    return f"{name}: {note}"
 
 
 def _damage_message(message: records.Message, rng: Rng) -> str:
@@ -238,24 +210,24 @@ def _damage_message(message: records.Message, rng: Rng) -> str:
         return _damage_field(message, rng)
     content = message.data
     if content[:1] == b"{":
-        message.data, told = damaged_json(content, rng)
-        return told
+        message.data, note = damaged_json(content, rng)
+        return note
     picture = content.find(b"\x89PNG")
     if picture >= 0 and rng.random() < 0.4:
-        image, told = damaged_png(content[picture:], rng)
+        image, note = damaged_png(content[picture:], rng)
         message.data = content[:picture] + image
-        return f"image: {told}"
+        return f"image: {note}"
     if picture > 0 and rng.random() < 0.6:  # the fields before the image
-        head, told = damaged_bytes(content[:picture], rng)
+        head, note = damaged_bytes(content[:picture], rng)
         message.data = head + content[picture:]
-        return told
+        return note
     if len(content) >= 16 and rng.random() < 0.4:  # one of the numbers of eight bytes, which are aligned after four
         at = 4 + 8 * int(rng.integers((len(content) - 4) // 8))
         value = pick(rng, (float("nan"), float("inf"), -1.0, 0.0, 1e300, 1e12, 1e-300, 1e5))
         message.data = content[:at] + struct.pack("<d", value) + content[at + 8 :]
         return f"{value} at byte {at}"
-    message.data, told = damaged_bytes(content, rng)
-    return told
+    message.data, note = damaged_bytes(content, rng)
+    return note
 
 
 def _damage_field(fields: Any, rng: Rng) -> str:
@@ -287,20 +259,22 @@ def _other(value: Any, rng: Rng) -> Any:
 
 
 def stated_images(data: bytes, topic: str) -> int | None:
-    """How many messages a topic has by a file's own word: its statistics, else its records; None where it says none.
+    """How many messages of a topic a file's statistics state, or its records; None where they state none.
 
-    Read here once more, without the library, to have something to compare a reader with.
+    Read without the library, as a second opinion.
     """
     found = take_apart(data)
+    flat = [each for record in found for each in (record, *record.held)]
     ends = [i for i, record in enumerate(found) if record.opcode == Opcode.DATA_END]
     summary = found[ends[0] :] if ends else []
-    flat = [r for record in found for r in (record, *record.held)]
-    parsed = [channel for r in (summary or flat) if r.opcode == Opcode.CHANNEL and (channel := r.parsed()) is not None]
-    parsed = parsed or [c for r in flat if r.opcode == Opcode.CHANNEL and (c := r.parsed()) is not None]
-    wanted = {channel.id for channel in parsed if channel.topic == topic}
-    messages = [r for r in flat if r.opcode == Opcode.MESSAGE and len(r.body) > 22]
-    counted = Counter(struct.unpack_from("<H", r.body)[0] for r in messages)
-    for record in summary:
-        if record.opcode == Opcode.STATISTICS and (statistics := record.parsed()) is not None:
-            return sum(n for i, n in statistics.channel_message_counts.items() if i in wanted) or None
-    return sum(counted[i] for i in wanted) or None
+    channels = _parsed(summary, Opcode.CHANNEL) or _parsed(flat, Opcode.CHANNEL)
+    wanted = {channel.id for channel in channels if channel.topic == topic}
+    for statistics in _parsed(summary, Opcode.STATISTICS):
+        return sum(n for i, n in statistics.channel_message_counts.items() if i in wanted) or None
+    messages = [record.body for record in flat if record.opcode == Opcode.MESSAGE and len(record.body) > 22]
+    return sum(struct.unpack_from("<H", body)[0] in wanted for body in messages) or None
+
+
+def _parsed(found: list[Record], opcode: int) -> list[Any]:
+    fields = [record.parsed() for record in found if record.opcode == opcode]
+    return [each for each in fields if each is not None]

@@ -1,6 +1,5 @@
 """Small model files and training states: written, and read."""
 
-from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -39,7 +38,7 @@ _NETWORK = NetworkConfig(
 
 
 def _numbers(like: Tensor, rng: np.random.Generator) -> Tensor:
-    """Few numbers again and again: a damaged model is kept whole, and must be small when it is compressed."""
+    """Few different numbers: a damaged model in the corpus must be small when compressed."""
     numbers = rng.uniform(0.01, 0.1, 7).astype(np.float32)
     return torch.from_numpy(np.resize(numbers, tuple(like.shape)))
 
@@ -80,8 +79,8 @@ def _landmarks() -> Landmarks:
     )
 
 
-def _localized(landmarks: Landmarks) -> None:
-    """Localize an image by landmarks, which must give poses that are finite, or none."""
+def _localize(landmarks: Landmarks) -> None:
+    """Localize an image by landmarks; poses must be finite."""
     m = landmarks.map
     number = min(len(m.points), 200)
     looks = np.zeros((number, SIFT_SIZE), np.float32)
@@ -112,8 +111,8 @@ def _checkpoint(*, retrieval: bool) -> Checkpoint:
         memory = regressor.memory
         assert memory is not None
         memory = replace(memory, keys=_numbers(memory.keys, rng), views=_numbers(memory.views, rng))
-    told = {"familiarity": Familiarity(*numbers, 0.5, 1.0), "camera": CAMERA, "memory": memory}
-    return Checkpoint(network, box, Calibration(), poses, regressor.state_dict(), **told)
+    described = {"familiarity": Familiarity(*numbers, 0.5, 1.0), "camera": CAMERA, "memory": memory}
+    return Checkpoint(network, box, Calibration(), poses, regressor.state_dict(), **described)
 
 
 def make_model(folder: Path, *, retrieval: bool, landmarks: bool = False) -> Path:
@@ -134,22 +133,17 @@ def load_model(path: Path) -> Reading:
     loaded = load_checkpoint(path)
     content = Content()
     content.add(loaded.network, loaded.box, loaded.calibration, loaded.camera, loaded.training)
-    parts = [loaded.state_dict, *_fields(loaded.prior_poses, loaded.familiarity, loaded.memory)]
+    count = _add_arrays(content, dict(loaded.state_dict), loaded.prior_poses, loaded.familiarity, loaded.memory)
     if loaded.landmarks is not None:
         content.add(landmarks_config(loaded.landmarks))
-        parts.append(landmark_arrays(loaded.landmarks))
-        _localized(loaded.landmarks)
-    count = _add_arrays(content, parts)
+        count += _add_arrays(content, dict(landmark_arrays(loaded.landmarks)))
+        _localize(loaded.landmarks)
     return Reading(content.digest, count)
 
 
-def _fields(*parts: Any) -> list[Mapping[str, Any]]:
-    return [vars(part) for part in parts if part is not None]
-
-
-def _add_arrays(content: Content, parts: Iterable[Mapping[str, Any]]) -> int:
-    """Add arrays, which must be finite; gives how many. Rotations in models may be so within 1e-3: they are no poses
-    here, which must be exact."""
+def _add_arrays(content: Content, *owners: Any) -> int:
+    """Add arrays, which must be finite, and count them. Rotations are stored to 1e-3, so none is a `Poses`."""
+    parts = [each if isinstance(each, dict) else vars(each) for each in owners if each is not None]
     arrays = [(name, np.asarray(values)) for part in parts for name, values in sorted(part.items())]
     for name, array in arrays:
         require(bool(np.isfinite(array).all()), "tensor", name)
@@ -158,19 +152,18 @@ def _add_arrays(content: Content, parts: Iterable[Mapping[str, Any]]) -> int:
 
 
 def make_exported(folder: Path) -> Path:
-    """A graph that is none, as what torch writes depends on its version."""
+    """An export whose graph is a dummy: torch's graphs depend on its version."""
     file = write_export(folder / "model.onnx", _checkpoint(retrieval=True).description)
     file.write_bytes(with_arrays(file.read_bytes(), in_order))
     return file
 
 
 def read_exported(path: Path) -> Reading:
-    """What a model says of itself; its digest is of all bytes, and would tell of those as well that do not matter."""
-    told = describe_onnx(path)
+    """A model's description, without the digest of all bytes, which also covers bytes that do not matter."""
+    described = describe_onnx(path)
     content = Content()
-    content.add(told.network, told.box, told.calibration, told.camera, told.training)
-    parts = _fields(told.prior_poses, told.familiarity, told.memory_poses)
-    count = _add_arrays(content, parts)
+    content.add(described.network, described.box, described.calibration, described.camera, described.training)
+    count = _add_arrays(content, described.prior_poses, described.familiarity, described.memory_poses)
     return Reading(content.digest, count)
 
 
@@ -180,7 +173,6 @@ _BOX = SceneBox.around(Poses.stack([pose for _, pose in Walk(NUM_IMAGES).truth])
 
 
 def _training(rng: np.random.Generator) -> TrainingState:
-    """A training that has yet to begin."""
     network, average = _regressor(_NETWORK, _BOX, rng), make_regressor(_NETWORK, _BOX)
     return TrainingState(network, average, make_learner(network), torch.optim.AdamW(network.parameters()))
 
@@ -201,8 +193,7 @@ def make_training_state(folder: Path) -> Path:
 def load_training(path: Path) -> Reading:
     state = _training(np.random.default_rng(1))
     load_state(path, state, _TRAINING)
-    # What a training that goes on does with it.
-    max(state.history, key=lambda figures: figures.log_density, default=None)
+    max(state.history, key=lambda figures: figures.log_density, default=None)  # as a training that goes on does
     state.average.load_state_dict(state.best or state.average.state_dict())
     content = Content()
     content.add(state.epochs, state.epoch, state.seconds, state.history)

@@ -1,8 +1,7 @@
-"""Every reader of files, each with a small sample made here, and what is to be known of a reading."""
+"""Every reader of files, each with a small sample made here."""
 
 import json
 import struct
-from collections import Counter
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -10,7 +9,7 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from mcap.writer import CompressionType, IndexType
+from mcap.writer import CompressionType
 
 from filtering.se3 import Poses
 from sequences.datasets.frames import posed_frames
@@ -30,12 +29,13 @@ from tests.fuzz.model_files import (
     make_training_state,
     read_exported,
 )
-from tests.fuzz.reading import NUM_IMAGES, Content, Reader, Reading, of_frames, require
-from tests.helpers import data_sets, foxglove_files, phone_data_sets, pose_table_files, pose_text, tf_files
+from tests.fuzz.reading import NUM_IMAGES, Content, Reader, Reading, read_frames, require
+from tests.helpers import data_sets, dot_scene, foxglove_files, pose_files, tf_files
 from tests.helpers.sequence_files import (
     BEGIN_NS,
     CAMERA,
     Walk,
+    as_file_without_index,
     as_packed_messages,
     as_ros1_bag,
     as_split_folder,
@@ -45,37 +45,26 @@ from tests.helpers.sequence_files import (
 )
 
 _WALK_TOPIC, _ROBOT_TOPIC = "/camera/image/compressed", "/image/compressed"
-
-
-def _of_trajectory(trajectory: Trajectory) -> Reading:
-    content = Content()
-    content.add(trajectory.times_ns, trajectory.poses)
-    require(bool((np.diff(trajectory.times_ns) > 0).all()), "stamps", trajectory.times_ns)
-    return Reading(content.digest, len(trajectory.times_ns))
+_TIMES_NS = tf_files.stamps(NUM_IMAGES)
 
 
 # --- recordings -----------------------------------------------------------------------------------
 
 
 def _recording(path: Path, odometry: OdometryUse = "required") -> Reading:
-    reader = SequenceReader(path, SequenceOptions(), odometry=odometry)
-    return of_frames(reader, lambda: reader.skipped + Counter(f"notice: {notice}" for notice in reader.notices))
+    return read_frames(SequenceReader(path, SequenceOptions(), odometry=odometry))
 
 
-def _walk(folder: Path, **settings: Any) -> Path:
+def _of_walk(folder: Path, form: Callable[[Path, Path], Path]) -> Path:
+    """The walk in a form that another recorder writes."""
     source = Walk(NUM_IMAGES).write(folder / "source", {"odometry": "exact, for tests"})
-    target = rewrite(source, folder / "walk.mcap", **{"chunk_size": 4000, **settings})
+    target = form(source, folder)
     source.unlink()
     return target
 
 
-_NO_INDEX = {
-    "index_types": IndexType.NONE,
-    "repeat_channels": False,
-    "repeat_schemas": False,
-    "use_statistics": False,
-    "use_summary_offsets": False,
-}
+def _walk(folder: Path, **settings: Any) -> Path:
+    return _of_walk(folder, lambda source, _: rewrite(source, folder / "walk.mcap", **{"chunk_size": 4000, **settings}))
 
 
 def _foxglove(folder: Path, encoding: str) -> Path:
@@ -83,18 +72,18 @@ def _foxglove(folder: Path, encoding: str) -> Path:
     return foxglove_files.write(folder / "walk.mcap", encoding, *parts, foxglove_files.robot())
 
 
+def _robot(folder: Path, *parts: list[tf_files.Event]) -> Path:
+    return tf_files.record(folder / "walk.mcap", tf_files.images(NUM_IMAGES), tf_files.mounted(), *parts)
+
+
 def _tf(folder: Path) -> Path:
-    parts = (tf_files.images(NUM_IMAGES), tf_files.mounted())
-    moving = tf_files.tf("odom", "base_link", tf_files.stamps(NUM_IMAGES), tf_files.body)
+    moving = tf_files.tf("odom", "base_link", _TIMES_NS, tf_files.body)
     fixed = tf_files.tf("map", "odom", tf_files.stamps(NUM_IMAGES, every_ms=90), lambda _: tf_files.MAP_FROM_ODOM)
-    return tf_files.record(folder / "walk.mcap", *parts, moving, fixed)
+    return _robot(folder, moving, fixed)
 
 
-def _told_by(folder: Path, message_type: str) -> Path:
-    times_ns = tf_files.stamps(NUM_IMAGES)
-    truth = tf_files.told_by(message_type, times_ns)
-    parts = (tf_files.images(NUM_IMAGES), tf_files.mounted(), tf_files.odometry(times_ns), truth)
-    return tf_files.record(folder / "walk.mcap", *parts)
+def _true_poses(folder: Path, message_type: str) -> Path:
+    return _robot(folder, tf_files.odometry(_TIMES_NS), tf_files.told_by(message_type, _TIMES_NS))
 
 
 def _raw(folder: Path) -> Path:
@@ -105,23 +94,10 @@ def _raw(folder: Path) -> Path:
         message = {"height": height, "width": width, "encoding": "rgb8", "is_bigendian": 0, "step": 3 * width}
         message |= {"header": tf_files.header(time_ns, "camera"), "data": pixels.tobytes()}
         events.append(tf_files.Event(time_ns, "/image", "sensor_msgs/Image", message))
-    poses = tf_files.odometry(tf_files.stamps(NUM_IMAGES))
-    return tf_files.record(folder / "walk.mcap", events, tf_files.mounted(), poses, [_camera_info()])
-
-
-def _camera_info() -> tf_files.Event:
-    c = CAMERA
-    message = {
-        "header": tf_files.header(BEGIN_NS, "camera"),
-        "height": c.height,
-        "width": c.width,
-        "distortion_model": "plumb_bob",
-        "d": [0.1, -0.05, 0.0, 0.0, 0.0],
-        "k": [c.fx, 0.0, c.cx, 0.0, c.fy, c.cy, 0.0, 0.0, 1.0],
-        "r": [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
-        "p": [c.fx, 0.0, c.cx, 0.0, 0.0, c.fy, c.cy, 0.0, 0.0, 0.0, 1.0, 0.0],
-    }
-    return tf_files.Event(BEGIN_NS, "/camera_info", "sensor_msgs/CameraInfo", message)
+    (info,) = tf_files.camera_infos([(BEGIN_NS, CAMERA)], "/camera_info")
+    info.message["d"] = [0.1, -0.05, 0.0, 0.0, 0.0]
+    odometry = tf_files.odometry(_TIMES_NS)
+    return tf_files.record(folder / "walk.mcap", events, tf_files.mounted(), odometry, [info])
 
 
 def _video(folder: Path, *, of_ros: bool) -> Path:
@@ -134,31 +110,22 @@ def _video(folder: Path, *, of_ros: bool) -> Path:
     return foxglove_files.write(file, "protobuf", video_files.video(packets))
 
 
-def _split(folder: Path) -> Path:
-    """Three images in each of two files."""
-    source = Walk(NUM_IMAGES).write(folder / "source")
-    bag = as_split_folder(source, folder, cut_s=0.255)
-    source.unlink()
-    return bag
-
-
 # --- data sets ------------------------------------------------------------------------------------
 
 
 def _data_set(path: Path) -> Reading:
-    frames = posed_frames(path)
-    return of_frames(frames, lambda: frames.skipped + Counter(f"notice: {notice}" for notice in frames.notices))
+    return read_frames(posed_frames(path))
 
 
 def _with_points(path: Path) -> Reading:
     frames = posed_frames(path)
     frames.seen_points()
-    return of_frames(frames, lambda: frames.skipped + Counter(f"notice: {notice}" for notice in frames.notices))
+    return read_frames(frames)
 
 
 def _points(folder: Path, suffix: str) -> Path:
     if suffix == ".bin":
-        root = phone_data_sets.make_colmap_binary(folder / "scene")
+        root = dot_scene.make_colmap_binary(folder / "scene")
         point = struct.pack("<Q3d3BdQ", 12, 1.0, 2.0, 3.0, 1, 2, 3, 0.5, 1) + struct.pack("<ii", 4, 5)
         (root / "sparse" / "0" / "points3D.bin").write_bytes(struct.pack("<Q", 1) + point)
         return root
@@ -174,8 +141,8 @@ def _with_intrinsics(folder: Path) -> Path:
 
 
 def _r3d(folder: Path) -> Path:
-    members = {"metadata": json.dumps(phone_data_sets.r3d_metadata()).encode()}
-    members |= {f"rgbd/{i}.jpg": data for i, data in enumerate(phone_data_sets.r3d_images())}
+    members = {"metadata": json.dumps(dot_scene.r3d_metadata()).encode()}
+    members |= {f"rgbd/{i}.jpg": data for i, data in enumerate(dot_scene.r3d_images())}
     (folder / "walk.r3d").write_bytes(zipped(members))
     return folder / "walk.r3d"
 
@@ -183,35 +150,31 @@ def _r3d(folder: Path) -> Path:
 # --- text -----------------------------------------------------------------------------------------
 
 
-def _track() -> Trajectory:
-    times_ns = tf_files.stamps(NUM_IMAGES)
-    return Trajectory(np.array(times_ns, np.int64), Poses.stack([tf_files.body(t) for t in times_ns]))
+def _trajectory(path: Path, read: Callable[[Path], Trajectory]) -> Reading:
+    trajectory, content = read(path), Content()
+    content.add(trajectory.times_ns, trajectory.poses)
+    require(bool((np.diff(trajectory.times_ns) > 0).all()), "stamps", trajectory.times_ns)
+    return Reading(content.digest, len(trajectory.times_ns))
 
 
-def _tum(folder: Path) -> Path:
-    write_tum(folder / "walk.tum", _track())
-    return folder / "walk.tum"
-
-
-def _euroc_table(folder: Path) -> Path:
-    return pose_table_files.as_euroc(folder)
-
-
-def _kitti_table(folder: Path) -> Path:
-    return pose_table_files.as_kitti(folder)
+def _tum(folder: Path, name: str = "walk.tum") -> Path:
+    track = Trajectory(np.array(_TIMES_NS, np.int64), Poses.stack([tf_files.body(t) for t in _TIMES_NS]))
+    write_tum(folder / name, track)
+    return folder / name
 
 
 _WEIGHTED = "name qw qx qy qz tx ty tz weight"
 
 
-def _estimates(folder: Path, *, named: bool, weighted: bool = False) -> Path:
-    if not named:
-        write_tum(folder / "odometry.txt", _track())
-        write_tum(folder / "estimates.txt", _track())
-        return folder
-    poses = {name: pose for name, pose in pose_text.walk().items() if int(name[-16:-10]) < 10}
+def _timed_estimates(folder: Path) -> Path:
+    _tum(folder, "odometry.txt")
+    return _tum(folder, "estimates.txt").parent
+
+
+def _named_estimates(folder: Path, *, weighted: bool = False) -> Path:
+    poses = {name: pose for name, pose in pose_files.walk().items() if int(name[-16:-10]) < 10}
     for name in ("estimates.txt", "odometry.txt"):
-        pose_text.write_named(folder / name, poses, world_to_camera=False)
+        pose_files.write_named(folder / name, poses, world_to_camera=False)
     if weighted:  # two hypotheses a frame
         path = folder / "estimates.txt"
         lines = [line.rsplit(maxsplit=1)[0] for line in path.read_text().splitlines()]
@@ -219,9 +182,7 @@ def _estimates(folder: Path, *, named: bool, weighted: bool = False) -> Path:
     return folder
 
 
-def _read_estimates(folder: Path, *, named: bool, weighted: bool = False) -> Reading:
-    direction = "camera-to-world" if named else None
-    options = EstimateOptions(direction=direction, columns=_WEIGHTED if weighted else None)
+def _read_estimates(folder: Path, options: EstimateOptions) -> Reading:
     sequence = EstimateSequence([folder / "estimates.txt"], odometry=folder / "odometry.txt", options=options)
     content, number = Content(), 0
     for frame in sequence:
@@ -234,23 +195,16 @@ def _read_estimates(folder: Path, *, named: bool, weighted: bool = False) -> Rea
 # --- all ------------------------------------------------------------------------------------------
 
 
-def _of_other_recorder(folder: Path, form: Callable[[Path, Path], Path]) -> Path:
-    source = Walk(NUM_IMAGES).write(folder / "source", {"odometry": "exact, for tests"})
-    target = form(source, folder)
-    source.unlink()
-    return target
-
-
 def _mcap(make: Callable[[Path], Path], topic: str = _WALK_TOPIC, odometry: OdometryUse = "required") -> Reader:
     return Reader(make, partial(_recording, odometry=odometry), topic, counts_images=True)
 
 
 def _other(form: Callable[[Path, Path], Path]) -> Reader:
-    return Reader(partial(_of_other_recorder, form=form), _recording, counts_images=True)
+    return Reader(partial(_of_walk, form=form), _recording, counts_images=True)
 
 
-def _layout(make: Callable[[Path], Path]) -> Reader:
-    return Reader(make, _data_set, counts_images=True)
+def _layout(make: Callable[[Path], Path], read: Callable[[Path], Reading] = _data_set) -> Reader:
+    return Reader(make, read, counts_images=True)
 
 
 READERS: Mapping[str, Reader] = MappingProxyType(
@@ -260,20 +214,20 @@ READERS: Mapping[str, Reader] = MappingProxyType(
         "mcap-zstd": _mcap(partial(_walk, compression=CompressionType.ZSTD)),
         "mcap-without-checksums": _mcap(partial(_walk, enable_crcs=False)),
         "mcap-without-chunks": _mcap(partial(_walk, use_chunking=False)),
-        "mcap-without-index": _mcap(partial(_walk, **_NO_INDEX)),
+        "mcap-without-index": _mcap(partial(_of_walk, form=as_file_without_index)),
         "mcap-protobuf": _mcap(partial(_foxglove, encoding="protobuf"), "/camera/image"),
         "mcap-json": _mcap(partial(_foxglove, encoding="json"), "/camera/image"),
         "mcap-foxglove-cdr": _mcap(partial(_foxglove, encoding="cdr"), "/camera/image"),
         "mcap-tf": _mcap(_tf, _ROBOT_TOPIC),
-        "mcap-path": _mcap(partial(_told_by, message_type="nav_msgs/Path"), _ROBOT_TOPIC),
+        "mcap-path": _mcap(partial(_true_poses, message_type="nav_msgs/Path"), _ROBOT_TOPIC),
         "mcap-covariance": _mcap(
-            partial(_told_by, message_type="geometry_msgs/PoseWithCovarianceStamped"), _ROBOT_TOPIC
+            partial(_true_poses, message_type="geometry_msgs/PoseWithCovarianceStamped"), _ROBOT_TOPIC
         ),
-        "mcap-transform": _mcap(partial(_told_by, message_type="geometry_msgs/TransformStamped"), _ROBOT_TOPIC),
+        "mcap-transform": _mcap(partial(_true_poses, message_type="geometry_msgs/TransformStamped"), _ROBOT_TOPIC),
         "mcap-raw": _mcap(_raw, "/image"),
         "mcap-video": _mcap(partial(_video, of_ros=False), "/camera/image", "unread"),
         "mcap-ffmpeg": _mcap(partial(_video, of_ros=True), "/camera/image/ffmpeg", "unread"),
-        "rosbag2": _mcap(_split),
+        "rosbag2": _mcap(partial(_of_walk, form=partial(as_split_folder, cut_s=0.255))),
         "rosbag2-sqlite": _other(as_sqlite_folder),
         "rosbag2-packed": _other(as_packed_messages),
         "ros1": _other(as_ros1_bag),
@@ -284,24 +238,27 @@ READERS: Mapping[str, Reader] = MappingProxyType(
         "ceiling": _layout(lambda folder: data_sets.make_ceiling(folder / "scene") / "train"),
         "cambridge": _layout(lambda folder: data_sets.make_cambridge(folder / "scene") / "dataset_train.txt"),
         "colmap": _layout(lambda folder: data_sets.make_colmap(folder / "scene", "sparse/0", "images")),
-        "colmap-binary": _layout(lambda folder: phone_data_sets.make_colmap_binary(folder / "scene")),
-        "colmap-points": Reader(partial(_points, suffix=".txt"), _with_points, counts_images=True),
-        "colmap-points-binary": Reader(partial(_points, suffix=".bin"), _with_points, counts_images=True),
-        "euroc": _layout(lambda folder: phone_data_sets.make_euroc(folder / "MH_01", distorted=True)),
-        "stray-scanner": _layout(lambda folder: phone_data_sets.make_stray(folder / "scan")),
-        "stray-scanner-images": _layout(lambda folder: phone_data_sets.make_stray(folder / "scan", video=False)),
+        "colmap-binary": _layout(lambda folder: dot_scene.make_colmap_binary(folder / "scene")),
+        "colmap-points": _layout(partial(_points, suffix=".txt"), _with_points),
+        "colmap-points-binary": _layout(partial(_points, suffix=".bin"), _with_points),
+        "euroc": _layout(lambda folder: dot_scene.make_euroc(folder / "MH_01", distorted=True)),
+        "stray-scanner": _layout(lambda folder: dot_scene.make_stray(folder / "scan")),
+        "stray-scanner-images": _layout(lambda folder: dot_scene.make_stray(folder / "scan", video=False)),
         "record3d": _layout(_r3d),
         "record3d-export": _layout(
-            lambda folder: phone_data_sets.make_record3d_export(folder / "scan", phone_data_sets.r3d_metadata())
+            lambda folder: dot_scene.make_record3d_export(folder / "scan", dot_scene.r3d_metadata())
         ),
-        "nerfstudio": _layout(lambda folder: phone_data_sets.make_nerfstudio(folder / "scene")),
-        "tum": Reader(_tum, lambda path: _of_trajectory(read_tum(path))),
-        "euroc-table": Reader(_euroc_table, lambda path: _of_trajectory(read_pose_table(path))),
-        "kitti-table": Reader(_kitti_table, lambda path: _of_trajectory(read_pose_table(path))),
-        "estimates": Reader(partial(_estimates, named=True), partial(_read_estimates, named=True)),
-        "estimates-timed": Reader(partial(_estimates, named=False), partial(_read_estimates, named=False)),
+        "nerfstudio": _layout(lambda folder: dot_scene.make_nerfstudio(folder / "scene")),
+        "tum": Reader(_tum, partial(_trajectory, read=read_tum)),
+        "euroc-table": Reader(pose_files.as_euroc, partial(_trajectory, read=read_pose_table)),
+        "kitti-table": Reader(pose_files.as_kitti, partial(_trajectory, read=read_pose_table)),
+        "estimates": Reader(
+            _named_estimates, partial(_read_estimates, options=EstimateOptions(direction="camera-to-world"))
+        ),
+        "estimates-timed": Reader(_timed_estimates, partial(_read_estimates, options=EstimateOptions())),
         "estimates-weighted": Reader(
-            partial(_estimates, named=True, weighted=True), partial(_read_estimates, named=True, weighted=True)
+            partial(_named_estimates, weighted=True),
+            partial(_read_estimates, options=EstimateOptions(direction="camera-to-world", columns=_WEIGHTED)),
         ),
         "model": Reader(partial(make_model, retrieval=False), load_model),
         "model-retrieval": Reader(partial(make_model, retrieval=True), load_model),

@@ -1,10 +1,11 @@
-"""What is read of a file that may be damaged, and whether it is sound."""
+"""The content read from a file that may be damaged, and whether it is sound."""
 
 import hashlib
-from collections.abc import Callable, Iterable, Mapping
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -17,28 +18,28 @@ NUM_IMAGES = 6
 
 
 class UnsoundError(Exception):
-    """What was read cannot be: a camera of negative focal length, a pose that is not finite."""
+    """A value that cannot be: a camera of negative focal length, a pose that is not finite."""
 
 
 @dataclass(frozen=True)
 class Reading:
-    """What a reader made of a file.
+    """The outcome of reading a file.
 
     Attributes:
-        content: Digest of all that was read.
+        content: Digest of everything.
         items: How many images, poses or tensors.
-        told: What was left out, by reason, and notices.
+        reported: How many of what were skipped, by reason, and notices.
     """
 
     content: bytes
     items: int
-    told: Mapping[str, int] = field(default_factory=dict)
+    reported: Mapping[str, int] = field(default_factory=dict)
 
     @property
-    def images_told(self) -> int:
-        """How many images were counted as left out."""
+    def images_skipped(self) -> int:
+        """How many images were counted as skipped."""
         others = ("odometry time", "unusable odometry", "true pose time", "odometry from", "notice")
-        return sum(count for reason, count in self.told.items() if not reason.startswith(others))
+        return sum(count for reason, count in self.reported.items() if not reason.startswith(others))
 
 
 @dataclass(frozen=True)
@@ -46,10 +47,10 @@ class Reader:
     """One way to read one kind of file.
 
     Attributes:
-        make: Writes the sample into an empty folder; gives what is to be read.
+        make: Writes the sample into an empty folder and returns the path to read.
         read: Reads it.
-        image_topic: Of a recording, the topic whose messages are counted; None where nothing says how many there are.
-        counts_images: Whether images lost must be counted.
+        image_topic: Topic of a recording whose number of images is stated; None for other files.
+        counts_images: Whether lost images must be counted.
     """
 
     make: Callable[[Path], Path]
@@ -58,12 +59,21 @@ class Reader:
     counts_images: bool = False
 
     def stated(self, path: Path) -> int | None:
-        """How many images a recording says it has; None where it does not say."""
+        """How many images a recording states that it has; None where it does not."""
         if self.image_topic is None:
             return None
         files = [path] if path.is_file() else sorted(path.glob("*.mcap"))
         counts = [stated_images(file.read_bytes(), self.image_topic) for file in files]
         return sum(count or 0 for count in counts) or None
+
+
+class Frames(Protocol):
+    """A source of frames that counts those that it skips."""
+
+    skipped: Counter[str]
+    notices: Any
+
+    def __iter__(self) -> Iterator[Frame]: ...
 
 
 class Content:
@@ -105,10 +115,11 @@ def require(sound: bool, what: str, value: Any) -> None:
         raise UnsoundError(f"{what} {value}")
 
 
-def of_frames(frames: Iterable[Frame], told: Callable[[], Mapping[str, int]]) -> Reading:
+def read_frames(frames: Frames) -> Reading:
+    """Read a sequence or a data set to its end."""
     content, number, before_ns = Content(), 0, None
     for frame in frames:
         require(before_ns is None or frame.time_ns > before_ns, "stamp", frame.time_ns)
         before_ns, number = frame.time_ns, number + 1
         content.add(frame.time_ns, frame.image, frame.odometry, frame.world_from_camera, frame.camera)
-    return Reading(content.digest, number, told())
+    return Reading(content.digest, number, frames.skipped + Counter(f"notice: {notice}" for notice in frames.notices))

@@ -1,4 +1,4 @@
-"""Shapes and types in annotations, which tests execute, all but where they say so."""
+"""Annotated shapes and types, which are checked while tests run."""
 
 import functools
 import inspect

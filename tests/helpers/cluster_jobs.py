@@ -8,14 +8,13 @@ from signal import SIGKILL
 
 
 def sleep(folder: Path, number: int, seconds: float) -> int:
-    """Sleep, and leave a file that tells which process began it."""
+    """Sleep, and leave a file with the number of the job and of its process."""
     (folder / f"{number}-{os.getpid()}").touch()
     time.sleep(seconds)
     return number
 
 
 def begun(folder: Path) -> list[tuple[int, int]]:
-    """Which jobs were begun by which processes."""
     return sorted((int(number), int(pid)) for number, pid in (file.name.split("-") for file in folder.iterdir()))
 
 
@@ -36,6 +35,5 @@ def end_once(folder: Path, number: int) -> int:
 
 
 def end(number: int) -> int:
-    """End the process."""
     os.kill(os.getpid(), SIGKILL)
     return number

@@ -1,4 +1,4 @@
-"""The command from outside: what it is called with, and what it may say when it refuses."""
+"""Calls of the command, and checks of its output."""
 
 import json
 from pathlib import Path
@@ -28,7 +28,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def refuse(words: list[str], capsys: pytest.CaptureFixture[str], *said: object) -> str:
-    """Check that the command fails with status 1 and one line that says all of `said`; gives the line."""
+    """Check that the command fails with status 1 and one line that contains all of `said`; the line."""
     capsys.readouterr()
     status = main(words)
     out, err = capsys.readouterr()
@@ -37,8 +37,8 @@ def refuse(words: list[str], capsys: pytest.CaptureFixture[str], *said: object) 
     assert err.startswith(f"{PROGRAM} {words[1]}: " if words[0] == PROGRAM else f"vapor-track {words[0]}: ")
     assert err.endswith("\n")
     assert err.count("\n") == 1
-    for words_said in said:
-        assert str(words_said) in err
+    for part in said:
+        assert str(part) in err
     return err
 
 

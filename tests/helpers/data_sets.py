@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from filtering.se3 import Poses
+from sequences.datasets.frames import posed_frames
 from sequences.frame import Trajectory
 from sequences.trajectories.tum import format_time, write_tum
 from tests.helpers.sequence_files import BEGIN_NS, world_from_camera
@@ -70,51 +71,43 @@ def pose_numbers(pose: Poses, order: str) -> list[str]:
 
 
 def write_images(folder: Path, names: dict[int, str]) -> None:
-    """Images by what is to be seen in them."""
     for index, name in names.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         write_image(folder / name, index)
 
 
-def make_ambiguous(scene: Path) -> Path:
+def _make_split(
+    scene: Path, separator: str, order: str, images: str, name: str, poses: str, sequence_name: str
+) -> Path:
     """Two sequences to train with, frames 3, 4 and 17, then 0 and 1, and one to test with; rows in any order."""
     for split, sequence, frames in (
         ("train", 0, {0: 3, 1: 4, 2: 17}),
         ("train", 10, {3: 0, 4: 1}),
         ("test", 1, {5: 0}),
     ):
-        folder = scene / split / f"seq{sequence:02d}"
-        write_images(folder / "rgb_matched", {i: f"frame-color-{frame:04d}.png" for i, frame in frames.items()})
+        folder = scene / split / sequence_name.format(sequence)
+        write_images(folder / images, {i: name.format(frame) for i, frame in frames.items()})
         rows = [
-            ", ".join([str(sequence), str(frame), *pose_numbers(true_pose(i), "qw qx qy qz tx ty tz")])
+            separator.join([str(sequence), str(frame), *pose_numbers(true_pose(i), order)])
             for i, frame in frames.items()
         ]
-        (folder / f"poses_{folder.name}.txt").write_text("\n".join(reversed(rows)) + "\n")
+        (folder / poses.format(folder.name)).write_text("\n".join(reversed(rows)) + "\n")
     return scene
+
+
+def make_ambiguous(scene: Path) -> Path:
+    columns = "qw qx qy qz tx ty tz"
+    return _make_split(scene, ", ", columns, "rgb_matched", "frame-color-{:04d}.png", "poses_{}.txt", "seq{:02d}")
 
 
 def make_ceiling(scene: Path) -> Path:
-    """The same with the Ceiling's names, columns and blanks."""
-    for split, sequence, frames in (
-        ("train", 0, {0: 3, 1: 4, 2: 17}),
-        ("train", 10, {3: 0, 4: 1}),
-        ("test", 1, {5: 0}),
-    ):
-        folder = scene / split / str(sequence)
-        write_images(folder / "images", {i: f"{frame:06d}.jpg" for i, frame in frames.items()})
-        rows = [
-            " ".join([str(sequence), str(frame), *pose_numbers(true_pose(i), "tx ty tz qw qx qy qz")])
-            for i, frame in frames.items()
-        ]
-        (folder / "poses.txt").write_text("\n".join(reversed(rows)) + "\n")
-    return scene
+    return _make_split(scene, " ", "tx ty tz qw qx qy qz", "images", "{:06d}.jpg", "poses.txt", "{}")
 
 
 HEADER = "Visual Landmark Dataset V1\nImageFile, Camera Position [X Y Z W P Q R]\n\n"
 
 
 def cambridge_row(name: str, pose: Poses) -> str:
-    """Centre of the camera in the world, and the quaternion from world to camera."""
     return " ".join([name, *numbers(pose.translation, pose.inverse().as_quat_xyzw(), "tx ty tz qw qx qy qz")])
 
 
@@ -134,7 +127,6 @@ COLMAP_NAMES = {0: "a/frame9.png", 1: "a/frame10.png", 2: "b/view 1.png"}
 
 
 def colmap_row(number: int, pose: Poses, camera: int, name: str) -> str:
-    """World-to-camera, as COLMAP writes it."""
     return " ".join([str(number), *pose_numbers(pose.inverse(), "qw qx qy qz tx ty tz"), str(camera), name])
 
 
@@ -148,3 +140,15 @@ def make_colmap(root: Path, model: str, images: str) -> Path:
         rows += [colmap_row(index + 5, true_pose(index), camera, COLMAP_NAMES[index]), points]
     (root / model / "images.txt").write_text("\n".join(rows) + "\n")
     return root
+
+
+THIRTIETH_NS = 1_000_000_000 / 30
+
+
+def check(path: Path, indices: list[int], times_ns: list[float] | None = None) -> None:
+    frames = list(posed_frames(path))
+    assert [int(frame.image[0, 0, 0]) // 10 for frame in frames] == indices
+    for index, frame in zip(indices, frames, strict=True):
+        assert same(frame.world_from_camera, true_pose(index), 1e-6)
+    if times_ns is not None:
+        np.testing.assert_allclose([frame.time_ns for frame in frames], times_ns, atol=1)

@@ -1,4 +1,4 @@
-"""Posteriors that err as one says, and the fit of what they were made of."""
+"""Posteriors with given errors, and the fit of these errors."""
 
 from functools import cache
 
@@ -29,7 +29,7 @@ def apart(count: int) -> Travel:
 def posteriors(
     truth: Poses, errors: ErrorModel, normal: np.ndarray, *, rng: np.random.Generator, num_samples: int = 80
 ):
-    """Samples of each image whose places are off by these errors (n, 6) in standard deviations."""
+    """Samples of images whose places have these errors (n, 6), in standard deviations."""
     samples = []
     for i, own in enumerate(normal):
         spread = 0.06 * UNIT * np.exp(rng.normal(0.0, 0.8))  # of the samples
@@ -61,7 +61,6 @@ def fitted(count: int = 400):
 
 
 def walk(count: int, step_m: float, *, rng: np.random.Generator) -> Poses:
-    """A straight walk through a long corridor."""
     x = np.arange(count) * step_m
     side = np.cumsum(rng.normal(0, 0.01, (count, 2)), axis=0)
     return Poses(np.tile(np.eye(3), (count, 1, 1)), np.column_stack([x, side]))

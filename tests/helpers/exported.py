@@ -22,7 +22,6 @@ Entries = list[tuple[bytes, bytes]]
 
 
 def write_export(path: Path, model: ModelDescription, graph: bytes = GRAPH_BYTES) -> Path:
-    """An exported model of any graph."""
     path.write_bytes(graph)
     add_description(path, model)
     return path
@@ -37,18 +36,15 @@ def field(number: int, content: bytes) -> bytes:
 
 
 def put_together(graph: bytes, entries: Iterable[tuple[bytes, bytes]]) -> bytes:
-    """An ONNX file from its graph and metadata."""
     return graph + b"".join(field(14, field(1, name) + field(2, text)) for name, text in entries)
 
 
 def take_apart(content: bytes) -> tuple[bytes, Entries]:
-    """The graph and the metadata of an exported model."""
-    graph, told = onnx_file._parts(content)
-    return bytes(graph), [(name.encode(), text.encode()) for name, text in told.items()]
+    graph, entries = onnx_file._parts(content)
+    return bytes(graph), [(name.encode(), text.encode()) for name, text in entries.items()]
 
 
 def with_digest(graph: bytes, entries: Entries) -> bytes:
-    """An ONNX file whose digest is that of its graph."""
     digest = hashlib.sha256(graph).hexdigest().encode()
     return put_together(graph, [(name, digest if name == GRAPH.encode() else text) for name, text in entries])
 
@@ -56,8 +52,8 @@ def with_digest(graph: bytes, entries: Entries) -> bytes:
 def with_arrays(content: bytes, change: Callable[[bytes], bytes]) -> bytes:
     """An exported model whose description, the content of a safetensors file, was changed."""
     graph, entries = take_apart(content)
-    said = base64.b64encode(change(base64.b64decode(dict(entries)[ARRAYS.encode()])))
-    return put_together(graph, [(name, said if name == ARRAYS.encode() else text) for name, text in entries])
+    changed = base64.b64encode(change(base64.b64decode(dict(entries)[ARRAYS.encode()])))
+    return put_together(graph, [(name, changed if name == ARRAYS.encode() else text) for name, text in entries])
 
 
 def with_config(content: bytes, config: str) -> bytes:
@@ -71,6 +67,5 @@ def with_config(content: bytes, config: str) -> bytes:
 
 
 def metadata_of(arrays: bytes) -> dict[str, str]:
-    """The metadata of a safetensors file."""
     (length,) = struct.unpack("<Q", arrays[:8])
     return json.loads(arrays[8 : 8 + length])["__metadata__"]

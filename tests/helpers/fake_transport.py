@@ -1,4 +1,4 @@
-"""A running system without a network: a test says what is offered and what is said, and looks at what is published."""
+"""A ROS system without a network: tests offer and send messages, and read those published."""
 
 from collections import defaultdict
 from collections.abc import Callable
@@ -12,7 +12,7 @@ from sequences.recordings.source import TF_STATIC, RawMessage
 
 @dataclass
 class FakeTransport:
-    """A `Transport` without threads: whoever subscribes is called by `say`, in the thread of the test.
+    """A `Transport` without threads: subscribers are called by `say`, in the thread of the test.
 
     Attributes:
         name: What it is called.
@@ -36,18 +36,16 @@ class FakeTransport:
     # --- what it is for those who use it ----------------------------------------------------------
 
     def offers(self) -> list[Offer]:
-        """See `Transport.offers`."""
         return [offer for _, offer in sorted(self._offers.items())]
 
     def subscribe(self, offer: Offer, deliver: Callable[[RawMessage], None]) -> None:
-        """See `Transport.subscribe`; what a latched topic said before is delivered at once."""
+        """See `Transport.subscribe`; earlier messages of latched topics are delivered at once."""
         self.subscribed.append(offer)
         self._heard_by[offer.topic] = offer, deliver
         for raw in self._latched.get(offer.topic, []):
             deliver(raw)
 
     def advertise(self, topic: str, message_type: str, *, latched: bool = False) -> Publish:
-        """See `Transport.advertise`."""
         self.advertised[topic] = message_type, latched
 
         def publish(data: bytes) -> None:
@@ -57,22 +55,19 @@ class FakeTransport:
         return publish
 
     def close(self) -> None:
-        """See `Transport.close`."""
         self.is_closed = True
         self._heard_by.clear()
 
     # --- what a test does -------------------------------------------------------------------------
 
     def offer(self, topic: str, message_type: str, *, reliable: bool = True, latched: bool = False) -> None:
-        """Begin to publish a topic, or publish it otherwise."""
         self._offers[topic, message_type] = Offer(topic, message_type, reliable, latched)
 
     def withdraw(self, topic: str) -> None:
-        """Publish a topic no longer."""
         self._offers = {names: offer for names, offer in self._offers.items() if names[0] != topic}
 
     def say(self, raw: RawMessage) -> bool:
-        """Send one message, which arrives when it was logged; says whether somebody heard it."""
+        """Send one message, which arrives when it was logged; whether it has a subscriber."""
         is_latched = any(offer.latched for (topic, _), offer in self._offers.items() if topic == raw.topic)
         if is_latched:
             self._latched.setdefault(raw.topic, []).append(raw)
@@ -85,13 +80,13 @@ class FakeTransport:
 
 
 def messages_of(path: Path) -> list[RawMessage]:
-    """All messages of a recording as a transport delivers them: without what a file says of their types."""
+    """All messages of a recording as a transport delivers them: without definitions of their types."""
     bag = Bag(path)
     return [raw._replace(definition=b"") for raw in bag.messages([*bag.topics])]
 
 
 def offering(raws: list[RawMessage]) -> FakeTransport:
-    """A system that offers the topics of messages, of which only /tf_static is latched, and has said none of them."""
+    """A system that offers the topics of messages, of which only /tf_static is latched; none is sent yet."""
     transport = FakeTransport()
     for raw in raws:
         transport.offer(raw.topic, raw.type, latched=raw.topic == TF_STATIC)

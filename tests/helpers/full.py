@@ -1,4 +1,4 @@
-"""What the suite tries a few of, and all of with `FULL=1`: together it takes long, and most changes need only a few."""
+"""Long series of cases: the suite tries a few of each, and all with `FULL=1`."""
 
 import os
 from typing import TypeVar

@@ -18,7 +18,7 @@ class Disk:
     """Counts the calls that need room: files and folders that are made, renamed or written to.
 
     Attributes:
-        room: For how many more there is room; negative once the disk was full.
+        room: For how many more calls there is room; negative once the disk was full.
     """
 
     def __init__(self, room: int) -> None:
@@ -39,8 +39,7 @@ class Disk:
 
 @contextmanager
 def filling(room: int) -> Iterator[Disk]:
-    """Let there be room for so many calls in this process, of Python code; what buffers hold is written when full or
-    closed, as always."""
+    """Leave room for so many calls of this process's Python code; buffers are written when full or closed."""
     disk, opened = Disk(room), io.open
 
     class File(io.FileIO):
@@ -48,24 +47,16 @@ def filling(room: int) -> Iterator[Disk]:
             disk.use()
             return super().write(data)
 
-    def open_file(
-        path: Any,
-        mode: str = "r",
-        buffering: int = -1,
-        encoding: str | None = None,
-        errors: str | None = None,
-        newline: str | None = None,
-        closefd: bool = True,
-        opener: Callable | None = None,
-    ) -> Any:
+    def open_file(path: Any, mode: str = "r", buffering: int = -1, *text: Any, **named: Any) -> Any:
         if not set(mode) & set("wxa+") or path == os.devnull:
-            return opened(path, mode, buffering, encoding, errors, newline, closefd, opener)
+            return opened(path, mode, buffering, *text, **named)
         disk.use()
-        file = File(path, mode.replace("t", "").replace("b", ""), closefd, opener)
+        of_file = {name: named.pop(name) for name in ("closefd", "opener") if name in named}
+        file = File(path, mode.replace("t", "").replace("b", ""), **of_file)
         if buffering == 0:
             return file
         buffered = io.BufferedRandom(file) if "+" in mode else io.BufferedWriter(file)
-        return buffered if "b" in mode else io.TextIOWrapper(buffered, encoding, errors, newline)
+        return buffered if "b" in mode else io.TextIOWrapper(buffered, *text, **named)
 
     with pytest.MonkeyPatch.context() as patch:
         for name in ("mkdir", "rename", "replace"):

@@ -36,7 +36,7 @@ for _size in (6, 15, 45, 180):
 
 
 def panorama(pose: Poses) -> np.ndarray:
-    """What a camera sees that is far away: bright or dark by the direction, coarse and fine."""
+    """The view of distant scenery: brightness by direction, coarse and fine."""
     v, u = np.mgrid[: CAMERA.height, : CAMERA.width]
     rays = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones(u.shape)], -1) @ pose.rotation.T
     around = 180 + np.degrees(np.arctan2(rays[..., 1], rays[..., 0]))
@@ -69,7 +69,6 @@ def write(
 
 
 def walked(count: int = 120, *, at: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Poses:
-    """Twice round a ring of two metres radius, looking ahead."""
     turn = np.linspace(0.0, 4.0 * np.pi, count)
     about = np.zeros((count, 3, 3))
     about[:, 0, 0] = about[:, 1, 1] = np.cos(turn + np.pi / 2)
@@ -80,6 +79,6 @@ def walked(count: int = 120, *, at: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 def only(inspection: Inspection, *said: str) -> str:
-    """The one sentence of a verdict that says all this."""
+    """The one sentence of a verdict with all these words."""
     (sentence,) = [each for each in inspection.verdict if all(words in each for words in said)]
     return sentence

@@ -42,7 +42,7 @@ TINY = [
 
 TIMES = {"step_ms", "peak_rss_mb", "seconds"}
 
-NEVER_ALIKE = {".rrd", ".csv", ".md"}  # they tell of times as well, or are numbered at random
+NEVER_ALIKE = {".rrd", ".csv", ".md"}  # they contain times, or random numbers
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,6 @@ CALLS = {
 
 
 def work(folder: Path, words: list[str]) -> None:
-    """What a process does that is to be killed."""
     os.chdir(folder)
     with open("log", "w") as log:
         os.dup2(log.fileno(), 1)
@@ -98,8 +97,8 @@ def work(folder: Path, words: list[str]) -> None:
     sys.exit(main(words))
 
 
-def told(path: Path) -> Any:
-    """What a file or a folder of results says, but for how long things took; fails where it is not whole."""
+def content_of(path: Path) -> Any:
+    """The content of a result without durations; fails where it is not whole."""
     if path.is_dir():
         with TemporaryDirectory() as place:  # what the next command finds; what is there stays as it is
             seen = Path(shutil.copytree(path, Path(place) / path.name))
@@ -107,7 +106,7 @@ def told(path: Path) -> Any:
             listed = read_manifest(seen)["files"]
             assert {*listed, MANIFEST} == set(os.listdir(seen))
             assert all(file.is_of(seen / name) for name, file in listed.items())
-            return {name: told(seen / name) for name in listed}
+            return {name: content_of(seen / name) for name in listed}
     if path.suffix == ".safetensors":
         return read_safetensors(path)[0][CHECKSUM]
     if path.suffix == ".onnx":
@@ -121,7 +120,7 @@ def told(path: Path) -> Any:
 
 
 class Killing:
-    """A call in a folder of its own, and what is found there when it was killed."""
+    """A call in its own folder, which can be killed, and the files that it leaves."""
 
     def __init__(self, call: Call, folder: Path, processes: Any) -> None:
         self._call, self._folder, self.out, self._processes = call, folder, folder / "out", processes
@@ -154,14 +153,13 @@ class Killing:
 
     @property
     def leftovers(self) -> list[Path]:
-        """What the next call is to clear away."""
         return [path for path in self.out.rglob(".*") if is_workspace(path.name)]
 
     def found(self) -> list[tuple[str, Any]]:
-        """All that is replaced as one, by its name without digests, with what it tells; a folder that grows nothing."""
+        """Names without digests, and contents, of everything that is replaced as one; None for a folder that grows."""
         paths = [path.relative_to(self.out) for path in sorted(self.out.rglob("*" if self._call.grows else "result*"))]
         return [
-            (re.sub(r"-[0-9a-f]{10}\b", "", str(path)), None if self._grows(path) else told(self.out / path))
+            (re.sub(r"-[0-9a-f]{10}\b", "", str(path)), None if self._grows(path) else content_of(self.out / path))
             for path in paths
             if not any(map(is_workspace, path.parts))
         ]

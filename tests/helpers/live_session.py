@@ -32,7 +32,7 @@ ELSEWHERE = Poses.exp(np.array([0.0, 0.0, 30.0, 0.0, 0.0, 0.0]))
 
 
 class KnowingModel(VaporObservationModel):
-    """An observation model that knows when each colour was seen; of a walk of at most twelve images.
+    """An observation model that recognizes the colours of a walk of at most twelve images.
 
     Args:
         places: How many places look alike: with two, the second is 30 m above.
@@ -68,9 +68,9 @@ class Running:
 
     Attributes:
         transport: Its system.
-        estimates: What it told the callback.
-        told: What it told a person.
-        error: What it ended by; None where it was stopped.
+        estimates: Arguments of the callback.
+        told: Messages to the user.
+        error: The exception that ended it, if any.
     """
 
     transport: FakeTransport
@@ -80,24 +80,21 @@ class Running:
     error: BaseException | None = None
 
     def messages(self, name: str) -> list[Any]:
-        """What was published under /estimate, on /tf or on /diagnostics."""
+        """Messages published under /estimate, on /tf or on /diagnostics."""
         topic = f"/{name}" if name in ("tf", "diagnostics") else f"/estimate/{name}"
         kind = ANSWERS[topic]
         return [decoder(kind)(data) for data in list(self.transport.published[topic])]
 
     def say(self, raws: list[RawMessage]) -> None:
-        """Send messages, and wait for images to be localized before the next is sent."""
         for raw in raws:
             self.transport.say(raw)
             if raw.topic.startswith("/odom"):
                 time.sleep(0.001)
 
     def control(self, topic: str, kind: str = "std_msgs/Empty", **fields: Any) -> None:
-        """Send one message as a person would."""
         self.transport.say(RawMessage(topic, time.time_ns(), encoder(kind)(fields), kind, "cdr", b""))
 
     def wait(self, condition: Any, timeout_s: float = 10.0) -> None:
-        """Wait until something is so."""
         end_s = time.monotonic() + timeout_s
         while not condition():
             assert time.monotonic() < end_s, self.told
@@ -129,7 +126,6 @@ class Running:
         return {each.key: each.value for each in self.status().values}
 
     def wait_for(self, number: int) -> None:
-        """Wait until so many images were localized."""
         self.wait(lambda: len(self.estimates) >= number)
 
 
@@ -171,7 +167,7 @@ def running(
 
 
 def hurry(patch: pytest.MonkeyPatch) -> None:
-    """Have everything that waits for seconds wait for a tenth of that."""
+    """Shorten waits of seconds to a tenth."""
     from sequences.live import reader
 
     patch.setattr(reader, "_SETTLED_S", 0.03)

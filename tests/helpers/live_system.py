@@ -30,7 +30,7 @@ ANSWERS = {
 
 
 class Message(NamedTuple):
-    """What was heard: the topic, when, by a monotonic clock in seconds, and the fields."""
+    """A received message: topic, monotonic time in seconds, fields."""
 
     topic: str
     at_s: float
@@ -43,7 +43,7 @@ def free_domain() -> int:
 
 
 def ros_python(distribution: str) -> Path:
-    """The Python of a distribution's environment; tests skip, saying so, where it is absent."""
+    """The Python of a distribution's environment; tests skip where it is absent."""
     python = CHECKOUT / ".venv" / f"ros-{distribution}" / "bin" / "python"
     if not (python.parent.parent / ".installed").exists():
         pytest.skip(f"no environment of ROS 2 {distribution}: make .venv/ros-{distribution}/.installed")
@@ -51,7 +51,7 @@ def ros_python(distribution: str) -> Path:
 
 
 def script_of(recording: Path, *, rate: float = 1.0, gate: str | None = "/estimate/pose") -> dict[str, Any]:
-    """What a node is to publish: a recording, and what it is to hear: all that `live` publishes."""
+    """The script of a node that publishes a recording and listens to everything that `live` publishes."""
     bag = Bag(recording)
     names = [name for name in bag.topics if name != "/ground_truth/pose"]
     raws = sorted(bag.messages(names), key=lambda raw: (raw.topic != TF_STATIC, raw.log_time_ns))
@@ -85,27 +85,17 @@ def run_node(python: Path, script: Mapping[str, Any], folder: Path, domain: int,
 
 
 class Heard:
-    """What a node heard, and when it sent what."""
+    """The messages that a node received."""
 
     def __init__(self, script: Mapping[str, Any], result: Mapping[str, Any]) -> None:
-        self._publish, self._sent = script["publish"], result["sent"]
         types = script["listen"]
         self.messages = [Message(topic, at_s, decoder(types[topic])(data)) for topic, at_s, data in result["heard"]]
 
     def on(self, topic: str) -> list[Message]:
-        """Messages of one topic."""
         return [message for message in self.messages if message.topic == topic]
-
-    def sent_s(self, topic: str) -> dict[int, float]:
-        """When messages of a topic with headers were sent, by their stamps."""
-        sent = [(self._publish[index], at_s) for index, at_s in self._sent]
-        return {
-            stamp(decoder(each["type"])(each["data"]).header): at_s for each, at_s in sent if each["topic"] == topic
-        }
 
 
 def stamp(header: SimpleNamespace) -> int:
-    """Stamp of a header, nanoseconds."""
     return header.stamp.sec * 1_000_000_000 + header.stamp.nanosec
 
 
@@ -127,9 +117,8 @@ def live_command(domain: int, *words: str, log: Path) -> Iterator[subprocess.Pop
             process.wait()
 
 
-def wait_for(said: str, log: Path, *, timeout_s: float = 30.0) -> None:
-    """Wait until a log says something."""
+def wait_for(text: str, log: Path, *, timeout_s: float = 30.0) -> None:
     end_s = time.monotonic() + timeout_s
-    while said not in log.read_text():
-        assert time.monotonic() < end_s, f"{said!r} not said: {log.read_text()}"
+    while text not in log.read_text():
+        assert time.monotonic() < end_s, f"no {text!r}: {log.read_text()}"
         time.sleep(0.05)

@@ -1,14 +1,17 @@
-"""A walk whose images and odometry err exactly as the error model says, past copies of the true place."""
+"""Walks whose images and odometry err exactly as the error model says, or more, past copies of the true place."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
+from filtering.adaptation import ErrorScale
 from filtering.error_model import ErrorModel
 from filtering.motion import Odometry, SlowErrors
 from filtering.novelty import NoveltyTracker
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
+from tests.helpers.simulation import motion
 
 ERRORS = ErrorModel(
     floor=(0.1, 0.1, 0.1, 0.05, 0.05, 0.05),
@@ -23,7 +26,7 @@ ODOMETRY_STD = np.array([0.004] * 3 + [0.002] * 3)
 
 @dataclass(frozen=True)
 class Walk:
-    """What was, what odometry and images said of it, and how far each image was from the one before, in lengths."""
+    """True poses, odometry, posteriors, and the normalized distance of each image from the one before."""
 
     truth: Poses
     odometry: list[Odometry | None]
@@ -66,3 +69,38 @@ def walk(num_images, *, rng, lifts=lambda i: (0.0,), errors=ERRORS, slow=SLOW, s
         shares = np.full(len(heights), 1.0 / max(len(heights), 1))
         posteriors.append(PosePosterior(means, covariances, shares, errors, means))
     return Walk(Poses.stack(truth), odometry, posteriors, np.array(distances))
+
+
+AHEAD = motion(0.5, 0, 0, 0, 0, 0)  # a length
+
+APART = 2.0  # lengths between images that are compared
+
+SPEED_M = 0.2  # an image: some fifty pairs of images two lengths apart
+
+
+@cache
+def simulated(seed, num_images=250, per_image=1):
+    """A walk whose errors follow the model; `per_image` times the images a second."""
+    return walk(num_images * per_image, rng=np.random.default_rng(seed), speed_m=SPEED_M / per_image)
+
+
+def understated(path, factor):
+    """The same walk, with posteriors whose variance is too small by this factor."""
+    return replace(path, posteriors=[posterior.inflated(1.0 / factor) for posterior in path.posteriors])
+
+
+def scale_along(path, scale=None):
+    scale = scale or ErrorScale()
+    for posterior, odometry, distance in zip(path.posteriors, path.odometry, path.distances, strict=True):
+        scale = scale if odometry is None else scale.predict(odometry, distance)
+        scale = scale.observe(posterior, distance)
+    return scale
+
+
+def shifted(posterior, offset):
+    means = Poses(posterior.means.rotation, posterior.means.translation + offset)
+    return replace(posterior, means=means, samples=means)
+
+
+def observed(scale, posterior, distance=APART):
+    return scale.observe(posterior, distance)

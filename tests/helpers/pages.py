@@ -1,10 +1,13 @@
-"""What a page says: its parts, parsed as a browser would."""
+"""Outputs read back: pages as a browser parses them, recordings as Rerun's own tool reads them."""
 
 import base64
 import gzip
 import json
+import subprocess
+import sys
 from dataclasses import dataclass, field
 from html.parser import HTMLParser
+from pathlib import Path
 from typing import Any
 
 _VOID = {"meta", "img", "input", "br", "link", "rect"}
@@ -63,5 +66,10 @@ class ReadPage(HTMLParser):
 
     @property
     def data(self) -> dict[str, Any]:
-        """What the page's figures are drawn from."""
         return json.loads(gzip.decompress(base64.b64decode(self.scripts["data"])))
+
+
+def entities_of(path: Path) -> set[str]:
+    command = [sys.executable, "-m", "rerun_cli", "rrd", "print", str(path)]
+    text = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    return {line.split(" - ")[1].strip() for line in text.splitlines() if line.startswith("Chunk(")}

@@ -32,7 +32,7 @@ def contents(folder: Path) -> dict[str, str]:
 
 
 def whole(directory: Path) -> str:
-    """What results were written with, once they are found to be complete and of one run."""
+    """The content that all files of complete results share."""
     files = contents(directory)
     assert set(files) - {"notes.txt", "sometimes.png"} == {"a.tum", "b.json", MANIFEST}
     verify(directory, WRITES)
@@ -41,7 +41,6 @@ def whole(directory: Path) -> str:
 
 
 def refused(directory: Path, *said: str, **options) -> None:
-    """Check that nothing is written, or even begun."""
     before = contents(directory), sorted(directory.parent.iterdir())  # beside it lie other tests' folders
     with pytest.raises(SequenceError) as error, results_folder(directory, "run", writes=WRITES, **options):
         pytest.fail("the work began")

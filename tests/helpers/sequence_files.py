@@ -1,13 +1,15 @@
-"""A short walk with known poses, and the forms in which it can lie on disk."""
+"""A short walk with known poses, the forms in which it can lie on disk, and damaged copies."""
 
+import struct
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
+from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 from rosbags import rosbag1, rosbag2
@@ -37,7 +39,6 @@ def world_from_camera(time_ns: int) -> Poses:
 
 
 def picture(index: int) -> np.ndarray:
-    """An image whose colours say which one it is."""
     image = np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8)
     image[...] = [40 + 5 * index, 200 - 5 * index, 90]
     return image
@@ -45,7 +46,7 @@ def picture(index: int) -> np.ndarray:
 
 @dataclass
 class Walk:
-    """What goes into a file: tests change it before they write it."""
+    """The content of a file: tests change it before they write it."""
 
     num_images: int = 12
     twist_covariance: np.ndarray = field(default_factory=lambda: TWIST_COVARIANCE)
@@ -126,7 +127,6 @@ def as_split_folder(source: Path, folder: Path, *, cut_s: float = 0.555) -> Path
 
 
 def write_listing(bag: Path) -> Path:
-    """The metadata.yaml of a rosbag2 folder, by what its files state."""
     files, topics = sorted(bag.glob("*.mcap")), Counter[tuple[str, str]]()
     totals = []
     for file in files:
@@ -226,3 +226,76 @@ FORMS = [
     as_packed_messages,
     as_ros1_bag,
 ]
+
+
+Form = Callable[[Path, Path], Path]
+
+
+def close(a: Poses | None, b: Poses, tolerance: float = 1e-6) -> bool:
+    return a is not None and bool(np.abs(a.as_matrix() - b.as_matrix()).max() < tolerance)
+
+
+MS = 1_000_000
+
+
+def relogged(walk: Path, target: Path, late_ns: Callable[[str, int], int]) -> Path:
+    """A copy in which messages were logged late, by a function of topic and stamp."""
+    return rewrite(walk, target, log_time=lambda topic, time_ns: time_ns + late_ns(topic, time_ns))
+
+
+def stamped(walk: Path, target: Path, topics: Collection[str], stamp: Callable[[int], int]) -> Path:
+    """A copy in which some topics have other stamps, logged when they were."""
+
+    def change(topic: str, time_ns: int, data: bytes) -> bytes:
+        if topic not in topics:
+            return data
+        return data[:4] + struct.pack("<II", *divmod(stamp(time_ns), 1_000_000_000)) + data[12:]
+
+    return rewrite(walk, target, data=change)
+
+
+def records(data: bytes | bytearray, start: int = 8, end: int | None = None) -> Iterator[tuple[int, int, int]]:
+    """Opcode, place and length of each record, its head left out."""
+    while start < (len(data) - 8 if end is None else end):
+        opcode, length = struct.unpack_from("<BQ", data, start)
+        yield opcode, start + 9, length
+        start += 9 + length
+
+
+def chunks(data: bytes | bytearray) -> list[tuple[int, int, int]]:
+    """Place of each chunk, and of the records in it where they are not compressed, from and to."""
+    places = [(place, length) for opcode, place, length in records(data) if opcode == Opcode.CHUNK]
+    return [
+        (place, place + length - struct.unpack_from("<Q", data, place + 32)[0], place + length)
+        for place, length in places
+    ]
+
+
+def id_of(data: bytes, topic: str) -> int:
+    return next(
+        struct.unpack_from("<H", data, place)[0]
+        for opcode, place, length in records(data)
+        if opcode == Opcode.CHANNEL and topic.encode() in data[place : place + length]
+    )
+
+
+def damaged(source: Path, target: Path, change: Callable[[bytearray], None], **options: object) -> Path:
+    """A copy without checksums of its index, with uncompressed chunks, changed in place."""
+    data = bytearray(rewrite(source, target, enable_crcs=False, enable_data_crcs=False, **options).read_bytes())
+    change(data)
+    target.write_bytes(data)
+    return target
+
+
+def without_ten_images(data: bytearray) -> None:
+    """Give ten records of images an unknown opcode."""
+    lose_ten(data, chunks(data))
+
+
+def lose_ten(data: bytearray, stretches: Iterable[tuple[int, int, int]]) -> None:
+    images, left = id_of(data, IMAGES), 10
+    for _, begin, end in stretches:
+        for opcode, place, _ in records(data, begin, end):
+            if opcode == Opcode.MESSAGE and struct.unpack_from("<H", data, place)[0] == images and left:
+                data[place - 9], left = 0x90, left - 1
+    assert left == 0

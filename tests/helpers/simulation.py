@@ -1,13 +1,19 @@
 """Simulated walks with posteriors whose errors follow the error model: the filter without a network."""
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
+from filtering.association import Correlation, correct, evidence, gate
+from filtering.config import LocalizerConfig
 from filtering.error_model import ErrorModel
+from filtering.hypotheses import Hypotheses
+from filtering.localizer import ParticleLocalizer
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
+from sequences.frame import Frame
 
 FLOOR_HEIGHT_M = 3.0
 ODOMETRY_STD = np.array([0.005] * 3 + [0.003] * 3)
@@ -45,7 +51,7 @@ def wandering(distances, size, *, rng):
 
 
 def image_errors(distances, errors, *, std=STD, rng):
-    """Errors ξ (n, 6) of images taken taken at distances, in lengths, from the one before: lasting and fresh ones."""
+    """Errors ξ (n, 6) of images at normalized distances from the one before: lasting and fresh ones."""
     lasting = wandering(distances, 6, rng=rng)
     fresh = rng.standard_normal((len(distances) + 1, 6))
     share = errors.lasting_fraction
@@ -88,3 +94,69 @@ def climb(num_frames, *, rng):
         measured = delta @ Poses.exp(rng.standard_normal(6) * ODOMETRY_STD)
         odometry.append(Odometry(measured, np.diag(ODOMETRY_STD**2), 0.1))
     return Poses.stack(truth), odometry
+
+
+RNG = np.random.default_rng
+
+STAY = motion(0, 0, 0, 0, 0, 0)
+
+AHEAD = motion(0.1, 0, 0, 0, 0, 0.02)
+
+FOREIGN = PosePosterior(Poses.identity(0), np.zeros((0, 6, 6)), np.zeros(0), ERRORS, Poses.identity(0), 3.0)
+
+
+def new_localizer(seed=0, **settings):
+    return ParticleLocalizer(None, LocalizerConfig(**settings), rng=RNG(seed))
+
+
+def assert_same_belief(one, other, **tolerance):
+    np.testing.assert_allclose(one.particles.as_matrix(), other.particles.as_matrix(), **tolerance)
+    np.testing.assert_allclose(one.covariances, other.covariances, **tolerance)
+    np.testing.assert_allclose(one.log_weights, other.log_weights, **tolerance)
+
+
+def weight_near(estimate, position, within=1.0):
+    near = np.linalg.norm(estimate.particles.translation - np.asarray(position), axis=1) < within
+    return float(np.exp(estimate.log_weights)[near].sum())
+
+
+def walk(localizer, count, *, shares=(1.0,), heights_m=(0.0,), pose=None, seed=0, errors=ERRORS, step=AHEAD):
+    """Estimates along a walk whose images err as modelled, and the true pose at its end."""
+    rng = RNG(seed)
+    pose = Poses.identity() if pose is None else pose
+    distance = float(np.hypot(*(np.linalg.norm(part) for part in np.split(step.previous_from_current.log(), 2)))) / 0.45
+    estimates = []
+    for error in image_errors([distance] * (count - 1), errors, rng=rng):
+        pose = pose @ step.previous_from_current
+        seen = lifted(pose @ Poses.exp(error), heights_m)
+        estimates.append(localizer.update(seen_at(seen, shares, errors=errors), step))
+    return estimates, pose
+
+
+def frames_of(count: int, *, odometry: bool = True, seed: int = 0, step_ns: int = 10**8) -> list[Frame]:
+    rng = np.random.default_rng(seed)
+    truth, increments = climb(count, rng=rng)
+    images = rng.integers(0, 256, (count, 36, 36, 3), dtype=np.uint8)
+    return [Frame(i * step_ns, images[i], increments[i] if odometry else None, truth[i]) for i in range(count)]
+
+
+def translated(points) -> Poses:
+    return Poses(np.tile(np.eye(3), (len(points), 1, 1)), np.array(points))
+
+
+class Associated(NamedTuple):
+    """The hypotheses after an image, with weights not normalised, and its log evidence for each before it, (n,)."""
+
+    hypotheses: Hypotheses
+    log_evidence: np.ndarray
+    agreement: float
+
+
+def associate(
+    belief: Hypotheses, posterior: PosePosterior, camera: int, *, novelty: float, distance: float
+) -> Associated:
+    """Weigh and correct a belief by an image of a camera at a distance from its last one."""
+    pairs = gate(belief, posterior, [Correlation(camera, distance)])
+    found = evidence(belief, posterior, pairs)
+    after = correct(belief.reweighted(novelty * found.log_likelihood), posterior, pairs, found.outlier)
+    return Associated(after, found.log_likelihood, found.agreement)

@@ -13,7 +13,6 @@ _PER_M = 100.0  # pixels of a pattern
 
 
 def pattern(rng: np.random.Generator, width_m: float, height_m: float) -> np.ndarray:
-    """Blobs of many sizes, grey."""
     size = round(height_m * _PER_M), round(width_m * _PER_M)
     total = np.zeros(size)
     for scale in (4, 8, 16, 40):
@@ -34,7 +33,6 @@ class Room:
         ]
 
     def view(self, world_from_camera: Poses, camera: Camera = CAMERA) -> np.ndarray:
-        """What a camera sees, RGB."""
         k = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1.0]])
         rotation, centre = world_from_camera.rotation.T, world_from_camera.translation
         image = np.zeros((camera.height, camera.width), np.uint8)

@@ -1,15 +1,18 @@
-"""Recordings of the walk of `sequence_files` by a robot, whose poses are in tf, in odometry, in a path or elsewhere."""
+"""Recordings of the walk of `sequence_files` by a robot, with poses in tf, odometry, a path or elsewhere."""
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
 from mcap_ros2.writer import Writer
 
 from filtering.se3 import Poses
-from sequences.frame import Camera
-from sequences.recordings.message_definitions import schema_name, schema_text
+from sequences.datasets.frames import posed_frames
+from sequences.frame import Camera, Frame
+from sequences.options import SequenceOptions
+from sequences.recordings.message_definitions import DEFINITIONS, schema_name, schema_text
 from tests.helpers.sequence_files import BASE_FROM_CAMERA, BEGIN_NS, Walk, world_from_base
 
 MS = 1_000_000
@@ -26,8 +29,10 @@ class Event(NamedTuple):
 
 
 def record(path: Path, *parts: Iterable[Event]) -> Path:
-    """Write messages in order of time."""
-    events = sorted((event for part in parts for event in part), key=lambda event: event.time_ns)
+    return write_events(path, sorted((event for part in parts for event in part), key=lambda event: event.time_ns))
+
+
+def write_events(path: Path, events: Iterable[Event]) -> Path:
     with open(path, "wb") as file, Writer(file, chunk_size=20_000) as writer:
         schemas: dict[str, Any] = {}
         for event in events:
@@ -66,7 +71,6 @@ def images(num_images: int = 12, frame: str = "camera") -> list[Event]:
 
 
 def camera_infos(cameras: Iterable[tuple[int, Camera]], topic: str = "/image/camera_info") -> list[Event]:
-    """Intrinsics of a camera without distortion, as they are from some stamp on."""
     events = []
     for t, c in cameras:
         k = [c.fx, 0.0, c.cx, 0.0, c.fy, c.cy, 0.0, 0.0, 1.0]
@@ -84,25 +88,16 @@ def tf(parent: str, child: str, times_ns: Iterable[int], at: Callable[[int], Pos
 
 
 def mounted(base: str = "base_link", camera: str = "camera", topic: str = "/tf_static") -> list[Event]:
-    """Where the camera sits."""
     return tf(base, camera, [BEGIN_NS - 40 * MS], lambda _: BASE_FROM_CAMERA, topic)
 
 
 def body(time_ns: int) -> Poses:
-    """Where the robot is in the map."""
     return world_from_base(np.array(time_ns))
 
 
 def odometry(times_ns: Iterable[int]) -> list[Event]:
-    return [
-        Event(
-            t,
-            "/odom",
-            "nav_msgs/Odometry",
-            {"header": header(t, "odom"), "child_frame_id": "base_link", "pose": {"pose": pose(body(t))}},
-        )
-        for t in times_ns
-    ]
+    parts = [(t, {"header": header(t, "odom"), "pose": {"pose": pose(body(t))}}) for t in times_ns]
+    return [Event(t, "/odom", "nav_msgs/Odometry", {**part, "child_frame_id": "base_link"}) for t, part in parts]
 
 
 def told_by(message_type: str, times_ns: Iterable[int], topic: str = "/truth", child: str = "base_link") -> list[Event]:
@@ -136,3 +131,60 @@ def robot(path: Path, *, jump_ns: int | None = None, extra: list[Event] | None =
         tf("odom", "base_link", stamps(), lambda t: MAP_FROM_ODOM.inverse() @ body(t)),
         extra or [],
     )
+
+
+TYPES = ["nav_msgs/Odometry", "geometry_msgs/TransformStamped"]
+
+TYPES_OF_UNSAID = ["geometry_msgs/PoseStamped", "geometry_msgs/PoseWithCovarianceStamped", "nav_msgs/Path"]
+
+
+def require_true(frames: list[Frame], tolerance_m: float = 1e-3) -> None:
+    """All twelve frames have the walk's true pose: interpolated over 20 ms, which costs half a millimetre at most."""
+    assert len(frames) == 12
+    for frame in frames:
+        assert frame.world_from_camera is not None
+        expected = body(frame.time_ns) @ BASE_FROM_CAMERA
+        metres, radians = frame.world_from_camera.distance(expected)
+        assert metres < tolerance_m
+        assert radians < 1e-3
+
+
+def read(path: Path, **options: object) -> list[Frame]:
+    return list(posed_frames(path, options=SequenceOptions(**options)))  # pyright: ignore[reportArgumentType]
+
+
+def image_message(pixels: np.ndarray, encoding: str, *, padding: int = 0, big_endian: bool = False) -> SimpleNamespace:
+    """A sensor_msgs/Image whose rows end in `padding` bytes of rubbish."""
+    rows = pixels.astype(pixels.dtype.newbyteorder(">" if big_endian else "<"), copy=False)
+    rows = np.frombuffer(np.ascontiguousarray(rows).tobytes(), np.uint8).reshape(len(pixels), -1)
+    rows = np.concatenate([rows, np.full((len(rows), padding), 123, np.uint8)], axis=1)
+    return SimpleNamespace(
+        height=pixels.shape[0],
+        width=pixels.shape[1],
+        encoding=encoding,
+        is_bigendian=int(big_endian),
+        step=rows.shape[1],
+        data=rows.tobytes(),
+    )
+
+
+_BELOW = {"bool": 2, "byte": 200, "uint8": 200, "int32": 2**31, "uint32": 2**32, "uint64": 2**63}
+
+
+def made_up(message_type: str, rng: np.random.Generator) -> dict[str, Any]:
+    """A message of a type, with texts of up to ten bytes and lists of up to three."""
+
+    def one(kind: str) -> Any:
+        if "/" in kind:
+            return made_up(kind, rng)
+        if kind == "string":
+            return "ü" * int(rng.integers(2)) + "x" * int(rng.integers(9))
+        return int(rng.integers(_BELOW[kind])) if kind in _BELOW else float(np.float32(rng.normal()))
+
+    message: dict[str, Any] = {}
+    for line in DEFINITIONS[message_type].splitlines():
+        kind, name = line.split()
+        base, _, length = kind.removesuffix("]").partition("[")
+        many = [one(base) for _ in range(int(length or rng.integers(4)))]
+        message[name] = one(base) if base == kind else bytes(many) if base == "uint8" else many
+    return message

@@ -1,6 +1,10 @@
-"""Training that takes seconds: its settings, and images of noise to learn by heart."""
+"""Training that takes seconds, whole or interrupted, on images of noise to learn by heart."""
+
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+import torch
 
 from filtering.se3 import Poses
 from sequences.frame import Frame
@@ -8,6 +12,7 @@ from vapor.regressors.loss import LossConfig
 from vapor.regressors.network_config import NetworkConfig
 from vapor.training.augment import AugmentConfig
 from vapor.training.config import TrainConfig
+from vapor.training.train import train_on
 
 STILL = AugmentConfig("central", 0.0, 0.0, 0.0, 0.0, 0.0)
 TINY = TrainConfig(
@@ -46,3 +51,38 @@ def make_frames(count: int, seed: int = 0, places: int | None = None) -> list[Fr
 def pose(frame: Frame) -> Poses:
     assert frame.world_from_camera is not None
     return frame.world_from_camera
+
+
+def train_on_most(frames: list[Frame], output: Path, config: TrainConfig, **more):
+    count = len(frames) * 3 // 4
+    held_out = [
+        replace(late, world_from_camera=pose(early)) for late, early in zip(frames[count:], frames, strict=False)
+    ]
+    return train_on({"a": frames[:count]}, output, config, validation={"b": held_out}, **more)
+
+
+class Interrupted(Exception):
+    pass
+
+
+def interrupt_at(step: int):
+    def progress(p):
+        if p.stage == "training" and p.done == step:
+            raise Interrupted
+
+    return progress
+
+
+def same_weights(a, b) -> bool:
+    return all(torch.equal(a.state_dict[k], v) for k, v in b.state_dict.items())
+
+
+TINY_TRAIN = TrainConfig(
+    network=NetworkConfig(image_width=32, image_height=32, shortest_edge=34, feature_dim=16, latent_dim=4),
+    bandwidth_translation_m=2.0,
+    bandwidth_rotation_rad=2.0,  # so wide that the density at the truth is more than its floor
+    epochs=1,
+    batch_size=16,
+    calibrate=False,
+    validation_fraction=0.0,
+)

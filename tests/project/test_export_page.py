@@ -15,7 +15,7 @@ import pytest
 
 from sequences.frame import Camera
 from tests.helpers.checkout import CHECKOUT
-from tests.helpers.engines import CONFIG, any_checkpoint
+from tests.helpers.checkpoints import CONFIG, any_checkpoint
 from vapor.cameras import AsTakenBy
 from vapor.engines.onnx_export import export_onnx
 from vapor.images import prepare
@@ -79,8 +79,8 @@ def test_the_program_sees_and_says_what_the_package_does(camera, program, model)
     ours = VaporObservationModel(checkpoint, num_samples=50, device="cpu", engine="torch", camera=taken_by)
     noise = np.random.default_rng(2).standard_normal((50, ours.engine.noise_dim), dtype=np.float32)
     loaded = page["load"](str(file))
-    told = None if taken_by is None else vars(taken_by)
-    translation, rotation, score = page["observe"](loaded, image, noise, told)
+    camera_fields = None if taken_by is None else vars(taken_by)
+    translation, rotation, score = page["observe"](loaded, image, noise, camera_fields)
 
     as_learned = AsTakenBy(checkpoint.camera, checkpoint.network.frame_size)
     seen = prepare(as_learned(image, taken_by), checkpoint.network)
@@ -91,7 +91,7 @@ def test_the_program_sees_and_says_what_the_package_does(camera, program, model)
     assert score == pytest.approx(posterior.unfamiliarity, rel=1e-4)
     assert (score == 1.0) == (camera == "narrower")  # which sees too little to call an image foreign
     if taken_by is not None:
-        resized, _ = page["as_learned"](image, told, vars(LEARNED), checkpoint.network.frame_size)
+        resized, _ = page["as_learned"](image, camera_fields, vars(LEARNED), checkpoint.network.frame_size)
         np.testing.assert_array_equal(page["prepared"](resized, loaded[1]["network"]), seen)
 
 
@@ -123,7 +123,7 @@ def test_the_page_says_how_much_noise_every_head_takes():
 
 def test_the_digest_is_that_of_what_comes_before_the_metadata(model):
     content = model[1].read_bytes()
-    told = onnxruntime.InferenceSession(str(model[1])).get_modelmeta().custom_metadata_map
+    stored = onnxruntime.InferenceSession(str(model[1])).get_modelmeta().custom_metadata_map
     first = content.index(b"\x0a\x12vapor-track config")
     begin = content.rindex(b"\x72", 0, first)  # the entry's tag, before its length
-    assert told["vapor-track graph_sha256"] == hashlib.sha256(content[:begin]).hexdigest()
+    assert stored["vapor-track graph_sha256"] == hashlib.sha256(content[:begin]).hexdigest()

@@ -47,14 +47,14 @@ def misbehave(path: Path) -> Reading:
             raise SequenceError("damaged") from error
     if word == "warning":
         warnings.warn("of something", RuntimeWarning, stacklevel=1)
-    items = {"lost": 2, "told": 2}.get(word, 3)
-    return Reading(word.encode() if word != "same" else b"whole", items, {"no image": 1} if word == "told" else {})
+    items = {"lost": 2, "reported": 2}.get(word, 3)
+    return Reading(word.encode() if word != "same" else b"whole", items, {"no image": 1} if word == "reported" else {})
 
 
 WORDS = {
     "same": ("same", ""),
     "silent": ("silent", ""),
-    "told": ("told", ""),
+    "reported": ("reported", ""),
     "refused": ("refused", ""),
     "key": ("failure", "traceback: KeyError at"),
     "long": ("failure", "long message at"),
@@ -95,10 +95,10 @@ def test_a_case_is_the_same_whenever_it_is_asked_for_and_leaves_the_sample_whole
     one, two = Sample("estimates", tmp_path / "one"), Sample("estimates", tmp_path / "two")
     made = [one.changes(7, number) for number in range(20)]
     assert made == [two.changes(7, number) for number in range(20)]
-    assert len({told for _, told in made}) > 15
+    assert len({damage for _, damage in made}) > 15
     assert made != [one.changes(8, number) for number in range(20)]
-    for changes, told in made:
-        one.judge(changes, told)
+    for changes, damage in made:
+        one.judge(changes, damage)
     assert one.judge({}).outcome == "same"
     assert {str(f.relative_to(one.folder)): f.read_bytes() for f in one.folder.rglob("*") if f.is_file()} == one.files
 
@@ -116,8 +116,8 @@ def test_an_mcap_file_put_together_again_is_whole_and_damage_is_under_checksums_
         assert sample.judge({file: put_together(take_apart(data), repair=repair)}).outcome == "same"
     assert sample.judge({file: put_together(take_apart(data), repair=True, compression="zstd")}).outcome == "same"
     found = take_apart(data)
-    told = [record for record in _messages(found) if 600 < len(record.body) < 800]  # which only odometry has
-    odometry = told[len(told) // 2]
+    of_odometry = [record for record in _messages(found) if 600 < len(record.body) < 800]
+    odometry = of_odometry[len(of_odometry) // 2]
     odometry.body = odometry.body[:-8] + np.float64(0.5).tobytes()  # the last number of its covariance
     assert sample.judge({file: put_together(found, repair=True)}).outcome == "silent"
     if name in ("mcap", "mcap-lz4", "mcap-zstd"):
@@ -179,7 +179,7 @@ def test_exported_models_are_damaged_under_digests_and_checksums_that_fit(tmp_pa
 
 def test_what_once_failed_fails_no_more() -> None:
     for name, verdict in cases.replay():
-        assert verdict.outcome != "failure", f"{name}: {verdict.cause}: {verdict.said}: {verdict.damage}"
+        assert verdict.outcome != "failure", f"{name}: {verdict.cause}: {verdict.details}: {verdict.damage}"
 
 
 @pytest.mark.parametrize("name", READERS)
@@ -187,4 +187,4 @@ def test_a_few_damaged_files_are_refused_or_read_and_what_is_lost_is_counted(nam
     sample = Sample(name, tmp_path)
     for number in range(5):  # `make fuzz` tries more
         verdict = sample.judge(*sample.changes(0, number))
-        assert verdict.outcome != "failure", f"case {number}: {verdict.cause}: {verdict.said}: {verdict.damage}"
+        assert verdict.outcome != "failure", f"case {number}: {verdict.cause}: {verdict.details}: {verdict.damage}"

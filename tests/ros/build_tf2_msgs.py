@@ -68,11 +68,7 @@ def generate(work):
     (work / "py" / "__init__.py").write_text("")
     generate_py(arguments("rosidl_generator_py", work / "py"), ["rosidl_typesupport_c"])
     # CMake's configure_file makes these from templates beside the generators' own.
-    for generator in (
-        "rosidl_generator_c",
-        "rosidl_typesupport_fastrtps_c",
-        "rosidl_typesupport_introspection_c",
-    ):
+    for generator in ("rosidl_generator_c", "rosidl_typesupport_fastrtps_c", "rosidl_typesupport_introspection_c"):
         name = f"{generator}__visibility_control.h"
         text = (PREFIX / "share" / generator / "resource" / f"{name}.in").read_text()
         text = text.replace("@PROJECT_NAME_UPPER@", PACKAGE.upper()).replace("@PROJECT_NAME@", PACKAGE)

@@ -12,7 +12,7 @@ from sequences.rendering.render import render, sees_cue
 from sequences.scenes import SCENES, find_scene
 from sequences.synthesize import synthesize
 from sequences.synthetic_sequence import SyntheticSequence
-from tests.helpers.rendered_depth import depth_and_quads
+from tests.helpers.views import depth_and_quads
 
 pytestmark = pytest.mark.usefixtures("unchecked", "rough_light")
 

@@ -11,10 +11,10 @@ import torch
 
 from filtering.se3 import Poses
 from sequences.frame import Camera, Frame
-from tests.helpers.lens_images import taken_by
 from tests.helpers.observing import observe, uncalibrated
 from tests.helpers.tiny_model import Metadata, Tensors, altered
 from tests.helpers.tiny_training import TINY
+from tests.helpers.views import taken_by
 from vapor.cameras import AsTakenBy, fraction_seen, resampled
 from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
 from vapor.observation import VaporObservationModel

@@ -12,8 +12,8 @@ import pytest
 
 from tests.helpers.command_line import main
 from tests.helpers.full import full
-from tests.helpers.tiny_experiments import TINY_TRAIN
 from tests.helpers.tiny_model import SMALL
+from tests.helpers.tiny_training import TINY_TRAIN
 from vapor.benchmark.recordings import record as record_module
 from vapor.benchmark.regressors import training_runs as runs_module
 from vapor.benchmark.regressors.table import TableConfig, TableExperiment, parse_scene

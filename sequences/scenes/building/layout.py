@@ -1,19 +1,21 @@
-"""How a room is furnished, and where in it one can walk."""
+"""The furniture of a room, and the path through it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float64
 
-from sequences.scenes.building.furniture.catalogue import MIDDLE, WANTED, draw_furniture
-from sequences.scenes.building.furniture.fixtures import radiator
-from sequences.scenes.building.furniture.piece import Piece
-from sequences.scenes.building.plan import DOOR_WIDTH, Plan, Slot, Spot
+from sequences.scenes.building.furniture import MIDDLE, WANTED, Piece, draw_furniture, radiator
+from sequences.scenes.building.plan import DOOR_WIDTH, Plan, Slot, Spot, resampled
 
+Rectangle: TypeAlias = tuple[float, float, float, float]
+Box: TypeAlias = tuple[float, float, float, float, float]
+"""x0, y0, x1, y1 and height of a piece of furniture."""
 CLEARANCE_M = 0.5  # from where one walks to anything that stands on the floor
 _INSET_M = 1.12  # from where one walks to the walls, where there is space
 _DEEP_M = {"bedroom": 2.55, "living": 1.4, "library": 1.4, "kitchen": 1.15}  # along one of the walls
@@ -28,11 +30,11 @@ class Layout:
     Attributes:
         width, depth: Inner size in x and y, metres.
         door: x of the middle of the door.
-        walkway: Where one walks, from the door on, metres; all of it away from walls and furniture.
-        pieces: What stands in the room, where.
+        walkway: Path from the door on, metres, clear of walls and furniture.
+        pieces: Furniture and its places.
         boxes: The footprint (x0, y0, x1, y1) and height of each piece, metres.
-        windows: x0, x1, z0, z1 of those in the wall opposite the door.
-        leaf: x0, x1 of the door's leaf, which stands open along the wall; None where there is no space for one.
+        windows: x0, x1, z0, z1 of each in the wall opposite the door.
+        leaf: x0, x1 of the door's leaf, open along the wall; None where it has no space.
     """
 
     width: float
@@ -41,7 +43,7 @@ class Layout:
     walkway: Float64[np.ndarray, "n 2"]
     pieces: tuple[tuple[str, Spot], ...]
     boxes: Float64[np.ndarray, "k 5"]
-    windows: tuple[tuple[float, float, float, float], ...]
+    windows: tuple[Rectangle, ...]
     leaf: tuple[float, float] | None
 
 
@@ -65,7 +67,7 @@ def _layout(plan: Plan, width: float, depth: float, door: float, look: int, vari
     kind = plan.kinds[look]
     walkway, middle = _walkway(width, depth, door, kind, rng)
     windows = _windows(plan, width, rng)
-    taken: list[tuple[float, float, float, float, float]] = []
+    taken: list[Box] = []
     placed: list[tuple[str, Spot]] = []
     leaf = None
     for x0 in (door + DOOR_WIDTH / 2 + 0.08, door - 3 * DOOR_WIDTH / 2 - 0.08):
@@ -77,7 +79,7 @@ def _layout(plan: Plan, width: float, depth: float, door: float, look: int, vari
         x0 = (windows[0][0] + windows[0][1]) / 2 - 0.5
         placed.append(("radiator", Spot(x0 + 1.0, depth, np.pi)))
         taken.append((x0, depth - 0.12, x0 + 1.0, depth, 0.68))
-    fine = _finely(walkway)
+    fine = resampled(walkway, 0.05)
     for name in WANTED[kind]:
         piece = pieces[name]
         for _ in range(_TRIES):
@@ -94,9 +96,7 @@ def _layout(plan: Plan, width: float, depth: float, door: float, look: int, vari
     return Layout(width, depth, door, walkway, tuple(placed), boxes, tuple(windows), leaf)
 
 
-def _in_rows(
-    piece: Piece, name: str, middle: tuple[float, float, float, float]
-) -> list[tuple[str, Spot, tuple[float, float, float, float, float]]]:
+def _in_rows(piece: Piece, name: str, middle: Rectangle) -> list[tuple[str, Spot, Box]]:
     """As many pieces, up to nine, as fit into the middle of a room, in rows; each with the box that it takes."""
     x0, y0, x1, y1 = middle
     sides = (x1 - x0, piece.width), (y1 - y0, piece.depth)
@@ -112,7 +112,7 @@ def _in_rows(
 
 def _walkway(
     width: float, depth: float, door: float, kind: str, rng: np.random.Generator
-) -> tuple[np.ndarray, tuple[float, float, float, float] | None]:
+) -> tuple[np.ndarray, Rectangle | None]:
     """Once round the room where it is large enough, else in and back; and the space in the middle for a table."""
     left = right = far = _INSET_M
     deep = _DEEP_M.get(kind, _INSET_M)
@@ -138,26 +138,17 @@ def _walkway(
     return np.array(kept), middle if roomy else None
 
 
-def _windows(plan: Plan, width: float, rng: np.random.Generator) -> list[tuple[float, float, float, float]]:
-    top = min(plan.clear - 0.2, float(rng.uniform(2.0, 2.4)))
+def _windows(plan: Plan, width: float, rng: np.random.Generator) -> list[Rectangle]:
+    top = min(plan.clear - 0.2, rng.uniform(2.0, 2.4))
     count = 1 if width < 3.6 else int(rng.integers(1, 3))
     each = width / count
-    size = min(each - 0.7, float(rng.uniform(1.0, 2.2)))
+    size = min(each - 0.7, rng.uniform(1.0, 2.2))
     return [((k + 0.5) * each - size / 2, (k + 0.5) * each + size / 2, _SILL_M, top) for k in range(count)]
 
 
-def _finely(line: np.ndarray) -> np.ndarray:
-    """Points every 5 cm along a line (n, 2)."""
-    walked = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
-    at = np.arange(0, walked[-1], 0.05)
-    return np.stack([np.interp(at, walked, line[:, k]) for k in range(2)], axis=1)
-
-
-def _against_wall(
-    piece: Piece, width: float, depth: float, rng: np.random.Generator
-) -> tuple[Spot, tuple[float, float, float, float, float] | None]:
+def _against_wall(piece: Piece, width: float, depth: float, rng: np.random.Generator) -> tuple[Spot, Box | None]:
     """A random place with its back to a wall, and the box that it takes; None where the wall is too short."""
-    side, fraction = int(rng.integers(4)), float(rng.random())
+    side, fraction = int(rng.integers(4)), rng.random()
     w, d, h, gap = piece.width, piece.depth, piece.height, 0.02
     free = (width if side < 2 else depth) - w - 2 * gap
     if free < 0:
@@ -174,14 +165,7 @@ def _against_wall(
     return Spot(width - gap, a, np.pi / 2), (width - d - gap, a, width, a + w, h)
 
 
-def _fits(
-    box: tuple[float, float, float, float, float],
-    taken: list[tuple[float, float, float, float, float]],
-    walked: np.ndarray,
-    door: float,
-    windows: list[tuple[float, float, float, float]],
-    depth: float,
-) -> bool:
+def _fits(box: Box, taken: list[Box], walked: np.ndarray, door: float, windows: list[Rectangle], depth: float) -> bool:
     x0, y0, x1, y1, height = box
     if any(x0 < b[2] and b[0] < x1 and y0 < b[3] and b[1] < y1 for b in taken):
         return False

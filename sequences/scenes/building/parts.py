@@ -1,8 +1,9 @@
-"""What all spaces of a building are built of: walls with openings, floors, ceilings, lamps, doors."""
+"""Materials of a building, and what its spaces are built of: walls with openings, floors, ceilings, lamps, doors."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import TypeAlias
 
 import numpy as np
@@ -10,8 +11,70 @@ import numpy as np
 from sequences.rendering import texture
 from sequences.rendering.mesh import Part, Placement
 from sequences.rendering.texture import Material, plain
-from sequences.scenes.building.looks import Looks
+from sequences.scenes.building.paint import (
+    WALL_TEXEL_M,
+    colour,
+    draw_ceiling,
+    draw_door,
+    draw_floor,
+    draw_stair_wall,
+    draw_wall,
+    grey,
+    stone,
+)
 from sequences.scenes.building.plan import DOOR_HEIGHT, DOOR_WIDTH, Plan, Spot
+
+
+@dataclass(frozen=True)
+class Palette:
+    """Paint of one storey; of rooms by their kind, of doors by a slot's look."""
+
+    corridor_wall: Material
+    stair_wall: Material
+    room_walls: tuple[Material, ...]
+    corridor_floor: Material
+    stair_floor: Material
+    room_floors: tuple[Material, ...]
+    ceiling: Material
+    trim: Material
+    doors: tuple[Material, ...]
+    rail: Material
+
+
+def draw_palette(rng: np.random.Generator, num_kinds: int) -> Palette:
+    """The paint of one storey."""
+    floor, flagged = draw_floor(rng), draw_floor(rng)
+    same_floors = rng.random() < 0.4
+    return Palette(
+        corridor_wall=draw_wall(rng),
+        stair_wall=Material(draw_stair_wall(rng), gloss=0.1, texel_m=WALL_TEXEL_M),
+        room_walls=tuple(draw_wall(rng) for _ in range(num_kinds)),
+        corridor_floor=floor,
+        stair_floor=stone(grey(rng)),
+        room_floors=tuple(flagged if same_floors else draw_floor(rng) for _ in range(num_kinds)),
+        ceiling=draw_ceiling(rng),
+        trim=plain(grey(rng, 0.25, 0.6), gloss=0.2),
+        doors=tuple(draw_door(rng) for _ in range(1 + rng.integers(3))),
+        rail=plain(colour(rng, 0.6, 0.12) if rng.random() < 0.5 else grey(rng, 0.05, 0.3), gloss=0.5),
+    )
+
+
+@dataclass(frozen=True)
+class Looks:
+    """Materials of a building on a visit: paint by style, lamps, the view from windows; lengths in metres."""
+
+    palettes: tuple[Palette, ...]
+    lamp: Material
+    pane: Material
+    lamp_size: tuple[float, float]
+    lamp_spacing: float
+
+
+@cache
+def palettes(plan: Plan) -> tuple[Palette, ...]:
+    """The paint of each style."""
+    return tuple(draw_palette(plan.rng(1, style), len(plan.kinds)) for style in range(max(plan.styles) + 1))
+
 
 _Pair: TypeAlias = tuple[float | int, float | int]
 _Corner: TypeAlias = tuple[float | int, float | int, float | int]
@@ -24,7 +87,7 @@ METAL = Material(texture.brushed, gloss=0.6)
 
 @dataclass(frozen=True)
 class Hole:
-    """In a wall: from where to where along it, how high, metres; what is behind."""
+    """An opening in a wall: limits along it and in height, metres, and the pane behind."""
 
     begin: float
     end: float
@@ -42,13 +105,7 @@ def place_copies(part: Part, spots: list[Spot], levels: list[int], plan: Plan) -
 
 
 def add_wall(
-    part: Part,
-    start: _Pair,
-    end: _Pair,
-    heights: _Pair,
-    material: Material,
-    holes: list[Hole],
-    trim: Material,
+    part: Part, start: _Pair, end: _Pair, heights: _Pair, material: Material, holes: list[Hole], trim: Material
 ) -> None:
     """A wall with holes, seen from the right of the way from start to end, with what closes the holes."""
     along = np.subtract(end, start)
@@ -89,7 +146,7 @@ def add_wall(
 
 
 def add_box_on_wall(part: Part, spot: Spot, low: _Corner, high: _Corner, material: Material) -> None:
-    """A box told in the frame of a wall: x along it, y out of it; for frames that are turned by quarters."""
+    """A box in the frame of a wall: x along it, y out of it; the frame is turned by quarters."""
     corners = spot.points(np.array([low[:2], high[:2]]))
     first, second = np.array([*corners[0], low[2]]), np.array([*corners[1], high[2]])
     part.box(np.minimum(first, second), np.maximum(first, second), material)

@@ -1,17 +1,119 @@
-"""Someone who goes through a building: the line of the walk, and the motion along it."""
+"""A walk through a building: its light and people, the line of the walk, and the motion along it."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache, lru_cache
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d, minimum_filter1d
 
 from filtering.se3 import Poses
 from sequences.paths.motion import STEP_S, rotations, wander
-from sequences.scenes.building.plan import Plan
-from sequences.scenes.building.visit import Visit
+from sequences.rendering.mesh import Part
+from sequences.rendering.texture import plain
+from sequences.scenes.building.layout import layout
+from sequences.scenes.building.paint import colour
+from sequences.scenes.building.plan import Plan, Spot, distances_along, points_at, resampled
 from sequences.scenes.building.ways import ASIDE_M, Station, Ways, ways
+from sequences.scenes.scene import SPLITS
+
+PERSON_RADIUS = 0.27  # of a circle around a person, metres
+
+
+def person(rng: np.random.Generator) -> Part:
+    """Someone who stands at the origin and looks along y: dressed, with arms, head and hair."""
+    part, k = Part(), rng.uniform(0.9, 1.08)
+    trousers, shirt = plain(colour(rng, 0.5, 0.12)), plain(colour(rng, 0.9, 0.35), amount=0.1)
+    skin_tone = rng.uniform(0.25, 1.0)
+    skin = plain((0.5 * skin_tone, 0.32 * skin_tone, 0.24 * skin_tone))
+    hair = plain(colour(rng, 0.5, 0.07))
+    for x in (-0.09, 0.09):
+        part.box((x - 0.06, -0.1, 0), (x + 0.06, 0.16, 0.08 * k), plain((0.04, 0.04, 0.04)), "xXyYZ")
+        part.beam((x, 0, 0.05), (x, 0, 0.86 * k), 0.085, trousers, 8)
+    part.beam((0, 0, 0.82 * k), (0, 0, 1.12 * k), 0.165, shirt, 10)
+    part.beam((0, 0, 1.1 * k), (0, 0, 1.42 * k), 0.185, shirt, 10)
+    part.box((-0.13, -0.12, 1.41 * k), (0.13, 0.12, 1.43 * k), shirt, "Z")
+    for x in (-0.2, 0.2):
+        part.beam((x, 0.0, 1.4 * k), (1.1 * x, 0.03, 1.1 * k), 0.05, shirt, 6)
+        part.beam((1.1 * x, 0.03, 1.1 * k), (x, 0.09, 0.84 * k), 0.04, skin, 6)
+    part.beam((0, 0, 1.42 * k), (0, 0, 1.52 * k), 0.055, skin, 6)
+    part.beam((0, 0.01, 1.5 * k), (0, 0.01, 1.7 * k), 0.1, skin, 10)
+    part.beam((0, -0.02, 1.58 * k), (0, -0.02, 1.77 * k), 0.108, hair, 10)
+    part.box((-0.08, -0.1, 1.765 * k), (0.08, 0.06, 1.77 * k), hair, "Z")
+    return part
+
+
+_PERSON_M = PERSON_RADIUS + 0.42  # from where one walks to the middle of a person
+
+
+def draw_people(plan: Plan, rng: np.random.Generator) -> tuple[tuple[int, Spot, int], ...]:
+    """`Visit.people`: clear of paths and furniture."""
+    walked = _all_ways(plan)
+    people: list[tuple[int, Spot, int]] = []
+    places = [(block, None) for block in plan.blocks] + list(plan.slots("room"))
+    for _ in range(int(rng.integers(1, 3 + 2 * plan.levels))):
+        for _ in range(30):
+            level, (block, slot) = int(rng.integers(plan.levels)), places[int(rng.integers(len(places)))]
+            fraction, heading, who = rng.random(2), rng.uniform(-np.pi, np.pi), int(rng.integers(1 << 30))
+            if slot is None:
+                frame, size, boxes = block.frame, np.array([block.length, block.width]), np.empty((0, 5))
+            else:
+                room = layout(plan, slot, plan.styles[level])
+                frame, size, boxes = plan.frame_of(block, slot), np.array([room.width, room.depth]), room.boxes
+            margin = PERSON_RADIUS + 0.03
+            at = margin + fraction * (size - 2 * margin)
+            beside = np.linalg.norm(at - np.clip(at, boxes[:, :2], boxes[:, 2:4]), axis=1)
+            spot = Spot(float(at[0]), float(at[1]), heading).within(frame)
+            here = np.array([spot.x, spot.y, level * plan.storey])
+            apart = [np.hypot(other.x - spot.x, other.y - spot.y) for on, other, _ in people if on == level]
+            if (
+                np.linalg.norm(walked - here, axis=1).min() > _PERSON_M
+                and (beside > margin).all()
+                and min(apart, default=1.0) > 0.7
+            ):
+                people.append((level, spot, who))
+                break
+    return tuple(people)
+
+
+@cache
+def _all_ways(plan: Plan) -> np.ndarray:
+    net = ways(plan)
+    lines = [station.visit for station in net.tour]
+    nodes = np.stack([net.before, np.broadcast_to(np.arange(len(net.points)), net.before.shape)], axis=-1)
+    lines += [net.points[edge] for edge in np.unique(nodes[net.before >= 0], axis=0)]
+    pieces = [resampled(line, 0.1) for line in lines]
+    return np.concatenate([*pieces, net.points])
+
+
+@dataclass(frozen=True)
+class Visit:
+    """Light and people of one walk through a building.
+
+    Attributes:
+        lamps, daylight: Brightness, 1 as usual.
+        tint: Colour of the lamps.
+        people: Level, place in the world, and seed of the looks of each person.
+    """
+
+    lamps: float = 1.0
+    daylight: float = 1.0
+    tint: tuple[float, float, float] = (1.0, 0.95, 0.88)
+    people: tuple[tuple[int, Spot, int], ...] = ()
+
+
+@lru_cache(maxsize=100)
+def draw_visit(plan: Plan, split: str, seed: int) -> Visit:
+    """Light and people of one walk: by day and alone on training walks, at any hour and among people on others."""
+    rng = plan.rng(16, SPLITS[split], seed)
+    colour = (1.0, rng.uniform(0.85, 1.0), rng.uniform(0.7, 1.0))
+    if split == "train":
+        return Visit(rng.uniform(0.8, 1.2), rng.uniform(0.5, 1.1), colour)
+    hour = float(rng.choice([0.02, 0.25, 0.8, 1.6]))  # night, dusk, overcast, sun
+    return Visit(rng.uniform(0.5, 1.3), hour * rng.uniform(0.8, 1.25), colour, draw_people(plan, rng))
+
 
 TRAINING_WALKS = 5
 """So many training walks of seeds in a row begin evenly spread over a tour of the building."""
@@ -25,7 +127,7 @@ def draw_line(
     plan: Plan, visit: Visit, length_m: float, training: bool, seed: int, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
     """A line (n, 3) with points every 2 cm that is at least so long, and how far one can come off it (n,)."""
-    net, skipped = ways(plan), float(rng.uniform(0.0, 4.0))
+    net, skipped = ways(plan), rng.uniform(0.0, 4.0)
     corners, free, walked = [], [], 0.0
     before: int | None = None
     for station in _stations(net, training, seed, rng):
@@ -45,10 +147,8 @@ def draw_line(
         if walked > length_m + skipped + 1.0:
             break
     rough = np.array(corners)
-    fine = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(rough, axis=0), axis=1))])
-    at = np.arange(0.0, fine[-1], FINE_M)
-    line = np.stack([np.interp(at, fine, rough[:, k]) for k in range(3)], axis=1)
-    segment = np.clip(np.searchsorted(fine, at, side="right"), 1, len(fine) - 1)
+    line, fine = resampled(rough, FINE_M), distances_along(rough)
+    segment = np.clip(np.searchsorted(fine, np.arange(0.0, fine[-1], FINE_M), side="right"), 1, len(fine) - 1)
     freedom = np.minimum(np.array(free)[segment - 1], np.array(free)[segment])
     for level, spot, _ in visit.people:
         near = np.linalg.norm(line - (spot.x, spot.y, level * plan.storey), axis=1) < 1.0
@@ -60,13 +160,13 @@ def draw_line(
     freedom = minimum_filter1d(freedom, 2 * round(_BEFORE_TURN_M / FINE_M), mode="nearest")
     freedom = gaussian_filter1d(freedom, 0.3 / FINE_M, mode="nearest")
     line = gaussian_filter1d(line, _ROUND_M / FINE_M, axis=0, mode="nearest")
-    again = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+    again = distances_along(line)
     at = np.arange(skipped, again[-1], FINE_M)
-    return np.stack([np.interp(at, again, line[:, k]) for k in range(3)], axis=1), np.interp(at, again, freedom)
+    return points_at(line, at), np.interp(at, again, freedom)
 
 
 def _stations(net: Ways, training: bool, seed: int, rng: np.random.Generator) -> Iterator[Station]:
-    """Where a walk goes, one after the other, without end."""
+    """The stations of a walk, without end."""
     count = len(net.tour)
     if training:
         fraction = (seed % TRAINING_WALKS) / TRAINING_WALKS
@@ -107,7 +207,7 @@ def walk_building(
     manner = plan.rng(14)  # wheels roll, legs sway
     sway, tilt = float(manner.uniform(0.0, 0.02)), float(manner.uniform(0.002, 0.02))
     pace = float(rng.uniform(0.45, 1.0) if training else rng.uniform(0.4, 1.05))
-    quickest = float(rng.uniform(0.9, 1.7))  # turn, rad/s
+    quickest = rng.uniform(0.9, 1.7)  # turn, rad/s
     line, freedom = draw_line(plan, visit, 1.15 * pace * duration_s + 3.0, training, seed, rng)
     heading, fastest = _headings(line)
     wanted = pace * np.clip(1 + 0.08 * wander(steps, 5.0, rng), 0.85, 1.15)
@@ -147,7 +247,7 @@ def _between(values: np.ndarray, at: float) -> float:
 
 
 def _headings(line: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where one looks along a line, to what lies a little ahead; and how fast one can be, as one stops to turn back."""
+    """Heading towards the points a little ahead, and the highest speed, which falls to turn back."""
     index, reach = np.arange(len(line)), round(0.1 / FINE_M)
     step = line[reach:, :2] - line[:-reach, :2]
     back = np.concatenate([[False], np.einsum("nk,nk->n", step[:-reach], step[reach:]) < 0, [False]])

@@ -1,4 +1,4 @@
-"""Where one can walk in a building: along corridors, round rooms, up and down stairs."""
+"""Paths through a building: along corridors, round rooms, up and down stairs."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ class Station:
 
 @dataclass(frozen=True)
 class Ways:
-    """Where one can walk in a building.
+    """A graph of paths through a building.
 
     Attributes:
-        points: The nodes, metres, on the floor or the middle of the steps.
-        freedom: How far one can come off the way at each node, metres.
-        before: Of the shortest way from node i to node j, the last node before j.
-        far: How long that is, metres.
-        tour: Stations in the order in which they are best visited, all over the building and back to the first.
+        points: Nodes, metres, on the floor or the middle of the steps.
+        freedom: Sideways distance that is free at each node, metres.
+        before: Last node before j of the shortest path from node i to node j.
+        far: Length of that path, metres.
+        tour: Stations in the order of a tour of the whole building.
     """
 
     points: Float64[np.ndarray, "n 3"]
@@ -58,7 +58,7 @@ class Ways:
         return nodes[::-1]
 
     def lengths_m(self) -> Float64[np.ndarray, " n"]:
-        """How far one has walked on the tour when one sets off for each station from the one before."""
+        """Distance along the tour at which each station is set off for."""
         nodes = [station.node for station in self.tour]
         inside = [float(np.linalg.norm(np.diff(s.visit, axis=0), axis=1).sum()) for s in self.tour]
         return np.concatenate([[0.0], np.cumsum([self.far[a, b] for a, b in pairwise(nodes)] + np.array(inside[:-1]))])
@@ -71,28 +71,22 @@ class Ways:
 
 
 class _Net:
-    """Nodes and the straight ways between them, under construction."""
-
     def __init__(self) -> None:
         self.points: list[np.ndarray] = []
         self.freedom: list[float] = []
         self.edges: list[tuple[int, int]] = []
 
     def node(self, spot: Spot, x: float, y: float, z: float, freedom: float = ASIDE_M) -> int:
-        """A point told in a frame."""
         self.points.append(np.array([*spot.points(np.array([[x, y]]))[0], z]))
         self.freedom.append(freedom)
         return len(self.points) - 1
 
     def join(self, *nodes: int) -> None:
-        """Straight ways from each to the next."""
         self.edges += list(pairwise(nodes))
 
 
 @dataclass
 class _Axis:
-    """The middle line of a corridor, along x of its frame, and the nodes on it by x; metres."""
-
     net: _Net
     frame: Spot
     y: float
@@ -101,7 +95,6 @@ class _Axis:
     nodes: list[tuple[float, int]] = field(default_factory=list)
 
     def node(self, x: float) -> int:
-        """A new one."""
         self.nodes.append((x, self.net.node(self.frame, x, self.y, self.z, self.freedom)))
         return self.nodes[-1][1]
 

@@ -12,12 +12,13 @@ from sequences.errors import SequenceError
 from tests.helpers.data_sets import (
     HEADER,
     INTRINSICS,
+    THIRTIETH_NS,
     cambridge_row,
+    check,
     make_cambridge,
     true_pose,
     write_images,
 )
-from tests.helpers.layout_checks import THIRTIETH_NS, check
 
 
 def test_a_cambridge_list_gives_its_images_by_sequence_and_frame(tmp_path: Path) -> None:

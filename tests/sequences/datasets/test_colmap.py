@@ -17,9 +17,8 @@ from sequences.images.decoding import decode_image_bytes
 from sequences.images.undistortion import Lens, pinhole_of, undistorted
 from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
-from tests.helpers.data_sets import COLMAP_NAMES, colmap_row, make_colmap, true_pose, write_images
-from tests.helpers.dot_checks import leaves_out
-from tests.helpers.layout_checks import THIRTIETH_NS, check
+from tests.helpers.data_sets import COLMAP_NAMES, THIRTIETH_NS, check, colmap_row, make_colmap, true_pose, write_images
+from tests.helpers.dot_scene import leaves_out
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 
 from sequences.datasets.listing import list_images
-from tests.helpers.dot_checks import THIRTIETHS, check, check_conversion, refuse
-from tests.helpers.phone_data_sets import NUM, make_colmap_binary
+from tests.helpers.dot_scene import NUM, THIRTIETHS, check, check_conversion, make_colmap_binary, refuse
 
 
 def test_a_binary_colmap_model_gives_what_it_says(tmp_path: Path) -> None:

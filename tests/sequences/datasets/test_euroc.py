@@ -12,9 +12,24 @@ from sequences.datasets.listing import list_images
 from sequences.frame import Frame
 from sequences.images.undistortion import Lens
 from tests.helpers import dot_scene
-from tests.helpers.dot_checks import check, check_conversion, edit, leaves_out, refuse
-from tests.helpers.dot_scene import FX, drawn, misses, opencv, opencv_pixels
-from tests.helpers.phone_data_sets import BEGIN_NS, EUROC_DISTORTION, GT_HEADER, NUM, make_euroc, sensor_yaml
+from tests.helpers.dot_scene import (
+    BEGIN_NS,
+    EUROC_DISTORTION,
+    FX,
+    GT_HEADER,
+    NUM,
+    check,
+    check_conversion,
+    drawn,
+    edit,
+    leaves_out,
+    make_euroc,
+    misses,
+    opencv,
+    opencv_pixels,
+    refuse,
+    sensor_yaml,
+)
 
 # Of the left camera of the published sequences: it is turned by a quarter about its axis against the body.
 

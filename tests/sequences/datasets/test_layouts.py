@@ -16,7 +16,7 @@ from tests.helpers.data_sets import (
     same,
     write_image,
 )
-from tests.helpers.dot_checks import refuse
+from tests.helpers.dot_scene import refuse
 
 
 def test_a_folder_or_file_of_no_layout_is_told_what_was_looked_for(tmp_path: Path) -> None:

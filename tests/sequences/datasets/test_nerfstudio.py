@@ -11,9 +11,18 @@ from sequences.errors import SequenceError
 from sequences.files.rows import UNUSABLE
 from sequences.frame import Camera
 from sequences.images.undistortion import Lens
-from tests.helpers.dot_checks import THIRTIETHS, check, check_conversion, edit_json, leaves_out, refuse
-from tests.helpers.dot_scene import FX, WIDTH
-from tests.helpers.phone_data_sets import NUM, make_nerfstudio
+from tests.helpers.dot_scene import (
+    FX,
+    NUM,
+    THIRTIETHS,
+    WIDTH,
+    check,
+    check_conversion,
+    edit_json,
+    leaves_out,
+    make_nerfstudio,
+    refuse,
+)
 
 
 def test_a_nerfstudio_folder_gives_its_images_in_the_order_of_their_names(tmp_path: Path) -> None:

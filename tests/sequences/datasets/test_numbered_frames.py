@@ -14,13 +14,14 @@ from sequences.errors import SequenceError
 from sequences.files.rows import UNUSABLE
 from tests.helpers.data_sets import (
     INTRINSICS,
+    THIRTIETH_NS,
+    check,
     make_7scenes,
     make_ambiguous,
     make_ceiling,
     write_image,
 )
-from tests.helpers.dot_checks import leaves_out
-from tests.helpers.layout_checks import THIRTIETH_NS, check
+from tests.helpers.dot_scene import leaves_out
 
 NUMBERED = pytest.mark.parametrize(
     ("make", "folder", "poses", "image"),

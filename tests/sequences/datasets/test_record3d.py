@@ -8,13 +8,16 @@ import pytest
 
 from sequences.datasets.listing import list_images
 from sequences.files.rows import UNUSABLE
-from tests.helpers.dot_checks import check, check_conversion, leaves_out, refuse
-from tests.helpers.phone_data_sets import (
+from tests.helpers.dot_scene import (
     NUM,
     R3D_SECONDS,
+    check,
+    check_conversion,
+    leaves_out,
     make_r3d,
     make_record3d_export,
     r3d_metadata,
+    refuse,
 )
 
 R3D_TIMES = [round(seconds * 1e9) for seconds in R3D_SECONDS]

@@ -9,7 +9,7 @@ import pytest
 from sequences.datasets.scene_points import scene_points
 from sequences.errors import SequenceError
 from tests.helpers.data_sets import make_colmap
-from tests.helpers.phone_data_sets import make_colmap_binary
+from tests.helpers.dot_scene import make_colmap_binary
 
 POINTS = ((7, (1.5, -2.0, 3.25), (255, 0, 10)), (900, (0.0, 1e3, -4.0), (1, 2, 3)))
 

@@ -15,7 +15,7 @@ from sequences.frame import Camera
 from sequences.images.undistortion import DistortionModel, Lens, rays_of
 from sequences.options import SequenceOptions
 from tests.helpers.data_sets import COLMAP_NAMES, colmap_row, make_colmap, true_pose
-from tests.helpers.phone_data_sets import make_colmap_binary
+from tests.helpers.dot_scene import make_colmap_binary
 
 POINTS = "# points\n" + "".join(f"{number} {number} 2 3 1 2 3 0.5 5 0\n" for number in (900, 7, 30))
 KEYPOINTS = {0: "32 24 7 10.5 12.5 -1 62 34 900", 1: "32 24 900 5 6 30", 2: ""}

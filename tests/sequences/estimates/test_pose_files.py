@@ -15,8 +15,7 @@ from sequences.files.rows import Rows
 from sequences.files.text import read_text
 from sequences.frame import Trajectory
 from sequences.trajectories.tum import write_tum
-from tests.helpers.pose_table_files import TIMES_NS, TRACK, as_euroc
-from tests.helpers.pose_text import walk, write_named
+from tests.helpers.pose_files import TIMES_NS, TRACK, as_euroc, walk, write_named
 
 GOOD = "seq-01/frame-000001.color.png 1 0 0 0 0 0 0"
 

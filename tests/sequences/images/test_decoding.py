@@ -12,7 +12,7 @@ import pytest
 from sequences.errors import SequenceError
 from sequences.images.decoding import decode_compressed_image, decode_image, decode_image_bytes
 from sequences.images.headers import DamagedImageError
-from tests.helpers.image_messages import image_message
+from tests.helpers.tf_files import image_message
 
 RGB = np.random.default_rng(0).integers(0, 256, (6, 8, 3), dtype=np.uint8)
 GREY = np.repeat(RGB[..., :1], 3, axis=2)

@@ -20,10 +20,10 @@ from sequences.reading.camera_info import ImageCamera
 from sequences.recordings.bag import Bag
 from sequences.recordings.message_definitions import decoder, schema_name, schema_text
 from sequences.writer import SequenceWriter
-from tests.helpers.lens_images import taken_by
 from tests.helpers.sequence_files import BASE_FROM_CAMERA, BEGIN_NS, Walk, rewrite, world_from_camera
 from tests.helpers.sequence_files import CAMERA as SMALL
 from tests.helpers.tf_files import MS, camera_infos, images, mounted, odometry, record, stamps
+from tests.helpers.views import taken_by
 
 CAMERA = Camera(160, 120, 110.0, 108.0, 77.0, 62.0)
 LENSES = {

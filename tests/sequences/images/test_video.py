@@ -17,9 +17,8 @@ from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
 from sequences.reading.counts import OUTSIDE
 from tests.helpers import foxglove_files, tf_files
-from tests.helpers.image_messages import image_message
 from tests.helpers.sequence_files import BASE_FROM_CAMERA, rewrite, world_from_camera
-from tests.helpers.tf_files import MS
+from tests.helpers.tf_files import MS, image_message
 from tests.helpers.video_files import GROUP, NUM, TOPIC, Packet, encode, ffmpeg_packets, pictures, stamp, video
 
 

@@ -21,7 +21,7 @@ from sequences.recordings.message_definitions import DEFINITIONS, decoder, encod
 from sequences.recordings.source import RawMessage
 from tests.helpers.checkout import CHECKOUT
 from tests.helpers.live_system import free_domain
-from tests.helpers.made_up_messages import made_up
+from tests.helpers.tf_files import made_up
 
 pytest.importorskip("cyclonedds")
 

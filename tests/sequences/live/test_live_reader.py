@@ -21,8 +21,17 @@ from sequences.recordings.source import TF, TF_STATIC, RawMessage
 from tests.helpers import tf_files
 from tests.helpers.checks import no_checks
 from tests.helpers.fake_transport import FakeTransport, messages_of, offering
-from tests.helpers.other_recordings import MS, close
-from tests.helpers.sequence_files import BASE_FROM_CAMERA, BEGIN_NS, CAMERA, IMAGES, ODOMETRY, Walk, world_from_camera
+from tests.helpers.sequence_files import (
+    BASE_FROM_CAMERA,
+    BEGIN_NS,
+    CAMERA,
+    IMAGES,
+    MS,
+    ODOMETRY,
+    Walk,
+    close,
+    world_from_camera,
+)
 
 INFO = "/camera/camera_info"
 SECOND = 10**9

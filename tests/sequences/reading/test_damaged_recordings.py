@@ -7,8 +7,7 @@ import pytest
 
 from sequences.errors import SequenceError
 from sequences.reader import SequenceReader
-from tests.helpers.other_recordings import Form, close
-from tests.helpers.sequence_files import FORMS, world_from_camera
+from tests.helpers.sequence_files import FORMS, Form, close, world_from_camera
 
 
 def test_a_recording_cut_off_is_refused_when_opened(walk_file: Path, tmp_path: Path) -> None:

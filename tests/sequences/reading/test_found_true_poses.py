@@ -12,6 +12,8 @@ from sequences.reader import SequenceReader
 from tests.helpers import foxglove_files
 from tests.helpers.sequence_files import BASE_FROM_CAMERA, BEGIN_NS
 from tests.helpers.tf_files import (
+    TYPES,
+    TYPES_OF_UNSAID,
     Event,
     body,
     header,
@@ -19,13 +21,14 @@ from tests.helpers.tf_files import (
     mounted,
     odometry,
     pose,
+    read,
     record,
+    require_true,
     robot,
     stamps,
     tf,
     told_by,
 )
-from tests.helpers.true_poses import TYPES, TYPES_OF_UNSAID, read, require_true
 from vapor.track import main
 from vapor.training_data.entries import open_sequences
 from vapor.training_data.load import load_training_set

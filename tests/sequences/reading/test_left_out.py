@@ -13,8 +13,7 @@ from sequences.errors import SequenceError
 from sequences.options import OdometryUse
 from sequences.reader import SequenceReader
 from sequences.reading.counts import AFTER, BEFORE, IN_GAP, ODD
-from tests.helpers.other_recordings import close
-from tests.helpers.sequence_files import BEGIN_NS, IMAGES, Walk, rewrite, world_from_camera
+from tests.helpers.sequence_files import BEGIN_NS, IMAGES, Walk, close, rewrite, world_from_camera
 
 
 def test_an_undecodable_image_is_skipped_and_the_next_increment_spans_it(tmp_path: Path) -> None:

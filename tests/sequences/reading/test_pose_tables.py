@@ -15,7 +15,7 @@ from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
 from sequences.trajectories.pose_tables import read_pose_table
 from sequences.trajectories.tum import write_tum
-from tests.helpers.pose_table_files import TIMES_NS, TRACK, as_euroc, as_kitti, as_tum
+from tests.helpers.pose_files import TIMES_NS, TRACK, as_euroc, as_kitti, as_tum
 from tests.helpers.sequence_files import BASE_FROM_CAMERA, BEGIN_NS
 from tests.helpers.tf_files import MS, body, images, mounted, odometry, record, stamps, told_by
 

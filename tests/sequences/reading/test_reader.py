@@ -15,7 +15,6 @@ from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
 from sequences.reading.counts import OUTSIDE
 from sequences.recordings.message_definitions import schema_name, schema_text
-from tests.helpers.other_recordings import Form, close
 from tests.helpers.sequence_files import (
     BASE_FROM_CAMERA,
     BEGIN_NS,
@@ -23,8 +22,10 @@ from tests.helpers.sequence_files import (
     FORMS,
     IMAGES,
     TWIST_COVARIANCE,
+    Form,
     Walk,
     as_file_without_index,
+    close,
     picture,
     rewrite,
     world_from_camera,

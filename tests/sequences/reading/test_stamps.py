@@ -12,8 +12,17 @@ from sequences.errors import SequenceError
 from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
 from sequences.reading.counts import IN_GAP, OUTSIDE
-from tests.helpers.other_recordings import MS, close, relogged, stamped
-from tests.helpers.sequence_files import BEGIN_NS, IMAGES, Walk, rewrite, world_from_camera
+from tests.helpers.sequence_files import (
+    BEGIN_NS,
+    IMAGES,
+    MS,
+    Walk,
+    close,
+    relogged,
+    rewrite,
+    stamped,
+    world_from_camera,
+)
 
 
 def require_same(reader: SequenceReader, reference: Path) -> None:

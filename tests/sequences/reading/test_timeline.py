@@ -8,8 +8,7 @@ import pytest
 
 from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
-from tests.helpers.other_recordings import MS, close
-from tests.helpers.sequence_files import BEGIN_NS, IMAGES, ODOMETRY, TRUTH, Walk, rewrite, world_from_camera
+from tests.helpers.sequence_files import BEGIN_NS, IMAGES, MS, ODOMETRY, TRUTH, Walk, close, rewrite, world_from_camera
 
 NUM_IMAGES, SECOND = 40, 10**9
 ALL = (IMAGES, ODOMETRY, TRUTH)

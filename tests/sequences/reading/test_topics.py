@@ -12,8 +12,7 @@ from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
 from sequences.recordings.bag import Bag
 from sequences.recordings.message_definitions import decoder
-from tests.helpers.other_recordings import close
-from tests.helpers.sequence_files import BASE_FROM_CAMERA, BEGIN_NS, IMAGES, Walk, rewrite
+from tests.helpers.sequence_files import BASE_FROM_CAMERA, BEGIN_NS, IMAGES, Walk, close, rewrite
 
 
 def with_second(tmp_path: Path, topic: str, name: str) -> Path:

@@ -15,6 +15,8 @@ from sequences.reader import SequenceReader
 from tests.helpers.sequence_files import BASE_FROM_CAMERA, BEGIN_NS, Walk
 from tests.helpers.tf_files import (
     MS,
+    TYPES,
+    TYPES_OF_UNSAID,
     Event,
     body,
     header,
@@ -22,13 +24,14 @@ from tests.helpers.tf_files import (
     mounted,
     odometry,
     pose,
+    read,
     record,
+    require_true,
     robot,
     stamps,
     tf,
     told_by,
 )
-from tests.helpers.true_poses import TYPES, TYPES_OF_UNSAID, read, require_true
 
 
 @pytest.mark.parametrize("message_type", TYPES + TYPES_OF_UNSAID)

@@ -14,7 +14,7 @@ from mcap_ros2._cdr import CdrWriter, EncapsulationKind
 from mcap_ros2.decoder import DecoderFactory
 
 from sequences.recordings.message_definitions import DEFINITIONS, decoder, encoder, schema_name, schema_text
-from tests.helpers.made_up_messages import made_up
+from tests.helpers.tf_files import made_up
 
 _READ = ["nav_msgs/Odometry", "sensor_msgs/CompressedImage", "sensor_msgs/CameraInfo", "tf2_msgs/TFMessage"]
 

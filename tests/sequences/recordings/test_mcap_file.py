@@ -21,8 +21,17 @@ from sequences.reader import SequenceReader
 from sequences.recordings import mcap_file, recording_file
 from sequences.recordings.bag import Bag
 from sequences.recordings.mcap_file import unpack_chunk
-from tests.helpers.lossy_mcap import chunks, damaged, id_of, records, without_ten_images
-from tests.helpers.sequence_files import BEGIN_NS, IMAGES, as_file_without_index, rewrite
+from tests.helpers.sequence_files import (
+    BEGIN_NS,
+    IMAGES,
+    as_file_without_index,
+    chunks,
+    damaged,
+    id_of,
+    records,
+    rewrite,
+    without_ten_images,
+)
 
 
 def with_forged_checksums(data: bytearray) -> None:

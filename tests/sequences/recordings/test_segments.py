@@ -12,8 +12,16 @@ from sequences.images.video import ImageStream
 from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
 from sequences.reading.counts import OUTSIDE
-from tests.helpers.lossy_mcap import chunks, lose_ten, without_ten_images
-from tests.helpers.sequence_files import BEGIN_NS, IMAGES, Walk, rewrite, write_listing
+from tests.helpers.sequence_files import (
+    BEGIN_NS,
+    IMAGES,
+    Walk,
+    chunks,
+    lose_ten,
+    rewrite,
+    without_ten_images,
+    write_listing,
+)
 
 
 @pytest.fixture(scope="module")

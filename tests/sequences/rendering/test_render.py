@@ -6,10 +6,9 @@ from sequences.frame import Camera
 from sequences.rendering import texture
 from sequences.rendering.light import bake_light
 from sequences.rendering.mesh import Part, Placement, Tracer, assemble
-from sequences.rendering.render import pixel_rays, render
-from sequences.rendering.surface import build_scene
+from sequences.rendering.render import build_scene, pixel_rays, render
 from sequences.rendering.texture import Material, plain
-from tests.helpers.rendered_depth import depth_and_quads
+from tests.helpers.views import depth_and_quads
 
 CAMERA = Camera(64, 48, 50.0, 50.0, 31.5, 23.5)
 HERE = np.zeros((1, 3))

@@ -10,23 +10,20 @@ from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.frame import Camera
 from sequences.reader import SequenceReader
-from sequences.rendering import surface
+from sequences.rendering import render as rendering
 from sequences.rendering.light import Sampling
 from sequences.rendering.mesh import Tracer, assemble
-from sequences.rendering.render import render, sees_cue
-from sequences.rendering.surface import LitScene
+from sequences.rendering.render import LitScene, sees_cue
 from sequences.scenes import find_scene, is_scene
 from sequences.scenes.building import scene as building
-from sequences.scenes.building.cues import unique_things
-from sequences.scenes.building.draw_plan import draw_plan
 from sequences.scenes.building.layout import layout
-from sequences.scenes.building.plan import Plan
-from sequences.scenes.building.scene import placements
-from sequences.scenes.building.visit import draw_visit
-from sequences.scenes.building.walk import TRAINING_WALKS, walk_building
+from sequences.scenes.building.plan import Plan, draw_plan
+from sequences.scenes.building.scene import placements, unique_things
+from sequences.scenes.building.walk import TRAINING_WALKS, draw_visit, walk_building
 from sequences.scenes.building.ways import ways
 from sequences.scenes.scene import Scene
 from sequences.synthesize import synthesize, write_synthetic
+from tests.helpers import views
 
 CAMERA = Camera(64, 48, 40.0, 40.0, 31.5, 23.5)
 SMALL = "building-2"  # two floors, one room
@@ -35,9 +32,9 @@ SMALL = "building-2"  # two floors, one room
 @pytest.fixture(autouse=True, scope="module")
 def rough() -> Iterator[None]:
     """Paint and light that are computed in a moment."""
-    texels = surface.chart_sizes
+    texels = rendering.chart_sizes
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(surface, "chart_sizes", lambda geometry: np.maximum(1, texels(geometry) // 4))
+        patch.setattr(rendering, "chart_sizes", lambda geometry: np.maximum(1, texels(geometry) // 4))
         patch.setattr(building, "SAMPLING", Sampling(grid_m=0.5, shadow_rays=1, bounce_rays=4, reach_m=5.0))
         find_scene.cache_clear()
         yield
@@ -47,20 +44,15 @@ def rough() -> Iterator[None]:
 @cache
 def matt() -> LitScene:
     """Building 0, whose five floors are painted alike, without the reflections that scatter at random."""
-    scene = find_scene("building-0").build("train", 0)
-    return replace(scene, gloss=np.zeros_like(scene.gloss))
+    return views.matt(find_scene("building-0").build("train", 0))
 
 
 def picture(scene: LitScene, pose: Poses) -> np.ndarray:
-    return render(scene, CAMERA, Poses.stack([pose] * 2), rng=np.random.default_rng(0))
-
-
-def fraction_that_differs(first: np.ndarray, second: np.ndarray) -> float:
-    return float((np.abs(first - second).max(axis=2) > 0.1 * (0.05 + first.mean(axis=2))).mean())
+    return views.picture(scene, CAMERA, pose)
 
 
 def raised(poses: Poses, plan: Plan, levels: int) -> Poses:
-    return Poses(poses.rotation, poses.translation + np.array([0, 0, levels * plan.storey]))
+    return views.shifted(poses, 0, 0, levels * plan.storey)
 
 
 def walk(number: int, split: str, seed: int, duration_s: float = 60.0) -> Poses:
@@ -168,9 +160,9 @@ def test_floors_look_the_same_where_nothing_unique_shows():
     chosen = np.flatnonzero(lower & unseen)
     assert len(chosen) >= 5
     for index in chosen:
-        assert fraction_that_differs(picture(scene, eyes[index]), picture(scene, above[index])) < 0.02
-    aside = Poses(eyes.rotation, eyes.translation + np.array([0.15, 0.1, 0.0]))
-    steps = [fraction_that_differs(picture(scene, eyes[i]), picture(scene, aside[i])) for i in chosen]
+        assert views.fraction_that_differs(picture(scene, eyes[index]), picture(scene, above[index])) < 0.02
+    aside = views.shifted(eyes, 0.15, 0.1, 0.0)
+    steps = [views.fraction_that_differs(picture(scene, eyes[i]), picture(scene, aside[i])) for i in chosen]
     assert np.median(steps) > 0.1  # the measure does see a step aside
 
 
@@ -188,7 +180,7 @@ def test_a_picture_tells_its_floor():
         pose = Poses(np.stack([right, np.cross(forward, right), forward], axis=1), eye)
         other = raised(pose, plan, 1 if level == 0 else -1)
         if sees_cue(scene, CAMERA, Poses.stack([pose, other])).tolist() == [True, False]:
-            seen.append(fraction_that_differs(picture(scene, pose), picture(scene, other)))
+            seen.append(views.fraction_that_differs(picture(scene, pose), picture(scene, other)))
     assert len(seen) >= 2
     assert min(seen) > 0.03
 
@@ -211,21 +203,12 @@ def test_light_differs_from_walk_to_walk_and_people_stand_about_on_test_walks_al
 @pytest.mark.parametrize("number", [1, 2, 8])
 def test_no_walk_comes_near_to_a_wall_furniture_or_people_and_all_stay_inside(number):
     plan, place = draw_plan(number), find_scene(f"building-{number}")
-    around = np.random.default_rng(0).standard_normal((40, 3))
-    around /= np.linalg.norm(around, axis=1, keepdims=True)
     for split in ("train", "test"):
         tracer = Tracer(assemble(placements(plan, draw_visit(plan, split, 1))))
         base = walk(number, split, 1)
-        eye = (base @ place.base_from_camera).translation
-        assert not tracer.blocked(eye[:-1], np.diff(eye, axis=0)).any()
-        some = eye[::10]
-        origin, ray = np.repeat(some, 40, axis=0), np.tile(around, (len(some), 1))
-        quad, _, _, _ = tracer.first_hit(origin, ray)
-        assert (quad >= 0).all()
-        assert not tracer.blocked(origin, 0.1 * ray).any()
-        waist = base.translation[::10] + np.array([0, 0, 0.6])  # of the body, wherever the camera is
-        level = np.tile(around * (1, 1, 0), (len(some), 1))
-        assert not tracer.blocked(np.repeat(waist, 40, axis=0), 0.25 * level).any()
+        views.require_free(tracer, (base @ place.base_from_camera).translation)
+        origin, ray = views.from_all(base.translation[::10] + np.array([0, 0, 0.6]))  # the waist
+        assert not tracer.blocked(origin, 0.25 * ray * (1, 1, 0)).any()
 
 
 def test_the_body_walks_on_the_floor_and_on_steps():

@@ -8,18 +8,15 @@ import pytest
 
 from filtering.se3 import Poses
 from sequences.frame import Camera
-from sequences.rendering.render import pixel_rays, render, sees_cue
-from sequences.rendering.surface import LitScene
-from sequences.scenes import SCENES, find_scene, scene_names
-from sequences.scenes.ceiling import dimensions as ceiling
-from sequences.scenes.ceiling.scene import roll_through_hall
-from sequences.scenes.corridor import dimensions as corridor
-from sequences.scenes.corridor.scene import walk_corridor
-from sequences.scenes.staircase import dimensions as staircase
-from sequences.scenes.staircase.scene import walk_stairs
+from sequences.rendering.render import LitScene, pixel_rays, render, sees_cue
+from sequences.scenes import SCENES, ceiling, corridor, find_scene, scene_names, stairwell
+from sequences.scenes.ceiling import roll_through_hall
+from sequences.scenes.corridor import walk_corridor
+from sequences.scenes.staircase import walk_stairs
 from sequences.scenes.tables import circle_table
 from sequences.synthesize import synthesize
-from tests.helpers.rendered_depth import depth_and_quads
+from tests.helpers import views
+from tests.helpers.views import depth_and_quads, fraction_that_differs, shifted
 
 CAMERA = Camera(96, 72, 60.0, 60.0, 47.5, 35.5)
 
@@ -43,12 +40,8 @@ def upward(x: float, y: float, yaw: float) -> Poses:
     return Poses(np.stack([right, np.cross(up, right), up], axis=1), np.array([x, y, 0.9]))
 
 
-def shifted(pose: Poses, x: float, y: float, z: float) -> Poses:
-    return Poses(pose.rotation, pose.translation + np.array([x, y, z]))
-
-
 def picture(scene: LitScene, pose: Poses) -> np.ndarray:
-    return render(scene, CAMERA, Poses.stack([pose] * 4), rng=np.random.default_rng(0))
+    return views.picture(scene, CAMERA, pose)
 
 
 def load_scene(name: str) -> LitScene:
@@ -56,13 +49,7 @@ def load_scene(name: str) -> LitScene:
 
 
 def matt(name: str) -> LitScene:
-    """The scene without its glossy reflections, which scatter at random."""
-    scene = load_scene(name)
-    return replace(scene, gloss=np.zeros_like(scene.gloss))
-
-
-def fraction_that_differs(first: np.ndarray, second: np.ndarray) -> float:
-    return float((np.abs(first - second).max(axis=2) > 0.1 * (0.05 + first.mean(axis=2))).mean())
+    return views.matt(load_scene(name))
 
 
 # --- specifications --------------------------------------------------------------------------------
@@ -95,7 +82,7 @@ def test_a_scene_is_imported_when_it_is_asked_for_and_not_before():
         "import sys; from sequences.scenes import find_scene, is_scene, scene_names;"
         "is_scene('ceiling'); scene_names();"
         "before = [m for m in sys.modules if m.startswith('sequences.scenes.')]; find_scene('ceiling');"
-        "print(before, 'sequences.scenes.ceiling.scene' in sys.modules, 'sequences.scenes.corridor' in sys.modules)"
+        "print(before, 'sequences.scenes.ceiling' in sys.modules, 'sequences.scenes.corridor' in sys.modules)"
     )
     printed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert printed.split() == ["[]", "True", "False"]
@@ -109,11 +96,11 @@ STAIR_VIEWS = [look((1.0, 0.6, 1.6), 0.0), look((2.5, 0.6, 2.2), 0.1, 0.2), look
 @pytest.mark.parametrize(("view", "levels"), [(0, (2, 4)), (1, (2, 4)), (2, (0, 2, 3))])
 def test_two_floors_look_the_same_from_the_same_place_on_them(view, levels):
     scene, pose = matt("staircase"), STAIR_VIEWS[view]
-    first = picture(scene, shifted(pose, 0, 0, staircase.FLOOR_HEIGHT))
+    first = picture(scene, shifted(pose, 0, 0, stairwell.FLOOR_HEIGHT))
     for level in levels:
-        second = picture(scene, shifted(pose, 0, 0, level * staircase.FLOOR_HEIGHT))
+        second = picture(scene, shifted(pose, 0, 0, level * stairwell.FLOOR_HEIGHT))
         assert fraction_that_differs(first, second) < 0.01  # all but hairlines of rounding
-    nearby = picture(scene, shifted(pose, 0.15, 0, staircase.FLOOR_HEIGHT))
+    nearby = picture(scene, shifted(pose, 0.15, 0, stairwell.FLOOR_HEIGHT))
     assert fraction_that_differs(first, nearby) > 0.2  # the measure does see a step aside
 
 
@@ -131,9 +118,9 @@ def test_two_cells_of_the_ceiling_look_the_same_and_a_panel_further_does_not(x, 
 @pytest.mark.parametrize(
     ("place", "unlike"),
     [
-        (look((2.4, 0.6, 2.1 + 3 * staircase.FLOOR_HEIGHT), np.pi, 0.3), 2 * staircase.FLOOR_HEIGHT),  # the poster
-        (look((2.0, 0.6, 1.8), np.pi, 0.2), -2 * staircase.FLOOR_HEIGHT),  # the entrance
-        (look((0.6, 1.6, 1.6 + 5 * staircase.FLOOR_HEIGHT), 0.0), 3 * staircase.FLOOR_HEIGHT),  # the top
+        (look((2.4, 0.6, 2.1 + 3 * stairwell.FLOOR_HEIGHT), np.pi, 0.3), 2 * stairwell.FLOOR_HEIGHT),  # the poster
+        (look((2.0, 0.6, 1.8), np.pi, 0.2), -2 * stairwell.FLOOR_HEIGHT),  # the entrance
+        (look((0.6, 1.6, 1.6 + 5 * stairwell.FLOOR_HEIGHT), 0.0), 3 * stairwell.FLOOR_HEIGHT),  # the top
     ],
     ids=["poster", "entrance", "top"],
 )
@@ -272,17 +259,10 @@ def test_true_camera_poses_are_base_poses_times_extrinsics_at_the_stamps(name):
 
 
 def test_no_camera_passes_through_a_wall_or_comes_too_near_to_one(name):
-    scene = load_scene(name)
     walks = synthesize(name, seed=0, num_frames=1500, split="train"), synthesize(name, seed=1, num_frames=1500)
     for sequence in walks:
-        eye = (sequence.world_from_base @ sequence.base_from_camera).translation
-        assert not scene.tracer.blocked(eye[:-1], np.diff(eye, axis=0)).any()
-        around = np.random.default_rng(0).standard_normal((40, 3))
-        around /= np.linalg.norm(around, axis=1, keepdims=True)
-        some = eye[::10]
-        assert not scene.tracer.blocked(np.repeat(some, 40, axis=0), 0.1 * np.tile(around, (len(some), 1))).any()
-        _, _, _, far = scene.tracer.first_hit(np.repeat(some, 40, axis=0), np.tile(around, (len(some), 1)))
-        assert far.max() < 40  # and never out of the building
+        eyes = (sequence.world_from_base @ sequence.base_from_camera).translation
+        assert views.require_free(load_scene(name), eyes).max() < 40  # and never out of the building
 
 
 # --- walks -----------------------------------------------------------------------------------------
@@ -294,9 +274,9 @@ def test_long_walks_visit_every_floor_both_ways():
         walk = walk_stairs(300.0, rng=np.random.default_rng(seed))
         heights.append(walk.translation[:, 2])
         ups.append(np.gradient(walk.translation[:, 2], 0.02))
-    floor = np.concatenate(heights) // staircase.FLOOR_HEIGHT
+    floor = np.concatenate(heights) // stairwell.FLOOR_HEIGHT
     climb = np.concatenate(ups)
-    for level in range(staircase.NUM_FLOORS - 1):
+    for level in range(stairwell.NUM_FLOORS - 1):
         assert (floor == level).mean() > 0.05
         assert ((floor == level) & (climb > 0.1)).any()
         assert ((floor == level) & (climb < -0.1)).any()

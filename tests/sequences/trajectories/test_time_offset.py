@@ -9,9 +9,9 @@ from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.frame import Trajectory
 from sequences.odometry import OdometryNoise, simulate_odometry
-from sequences.scenes.ceiling.scene import roll_through_hall
-from sequences.scenes.corridor.scene import walk_corridor
-from sequences.scenes.staircase.scene import walk_stairs
+from sequences.scenes.ceiling import roll_through_hall
+from sequences.scenes.corridor import walk_corridor
+from sequences.scenes.staircase import walk_stairs
 from sequences.trajectories.interpolation import interpolate
 from sequences.trajectories.time_offset import find_time_offset
 

@@ -7,7 +7,7 @@ from filtering.localizer import ParticleLocalizer
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
-from tests.helpers.poses import translated
+from tests.helpers.simulation import translated
 from vapor.benchmark.faults.table import (
     FAULTS,
     a_third,

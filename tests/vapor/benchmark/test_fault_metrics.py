@@ -5,7 +5,7 @@ import pytest
 
 from filtering.estimate import Mode
 from filtering.se3 import Poses
-from tests.helpers.poses import translated
+from tests.helpers.simulation import translated
 from vapor.benchmark.faults.metrics import evaluate_fault, longest_run, summarise_faults
 from vapor.benchmark.faults.table import FAULTS, NONE, find_moment
 from vapor.tracking.loop import Belief

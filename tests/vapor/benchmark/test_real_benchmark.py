@@ -13,7 +13,7 @@ from sequences.datasets.listing import list_images
 from sequences.odometry import OdometryNoise
 from tests.helpers.data_sets import make_7scenes
 from tests.helpers.full import full
-from tests.helpers.pose_text import noisy, walk, write_named
+from tests.helpers.pose_files import noisy, walk, write_named
 from vapor.benchmark.__main__ import main
 from vapor.benchmark.real import benchmark as real_benchmark
 from vapor.benchmark.real import trained_network

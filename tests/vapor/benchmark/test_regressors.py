@@ -11,7 +11,7 @@ from filtering.errors import VaporTrackError
 from tests.helpers.data_sets import make_7scenes
 from tests.helpers.full import full
 from tests.helpers.sequence_files import Walk
-from tests.helpers.tiny_experiments import TINY_TRAIN
+from tests.helpers.tiny_training import TINY_TRAIN
 from vapor.benchmark.__main__ import main
 from vapor.benchmark.commands import regressors as command
 from vapor.benchmark.regressors import training_runs as runs_module

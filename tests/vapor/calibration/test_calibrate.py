@@ -9,11 +9,11 @@ import torch
 
 from filtering.error_model import ErrorModel
 from filtering.se3 import Poses
-from tests.helpers.climbing_frames import frames_of
 from tests.helpers.data_sets import make_7scenes
 from tests.helpers.erring_posteriors import anywhere
 from tests.helpers.full import full
 from tests.helpers.sequence_files import Walk, rewrite
+from tests.helpers.simulation import frames_of
 from vapor.calibration import calibrate as calibrate_module
 from vapor.calibration.calibrate import calibrate, fit_widths
 from vapor.calibration.familiarity import learn_familiarity

@@ -15,7 +15,7 @@ import torch
 from onnx import TensorProto, helper
 
 from filtering.errors import VaporTrackError
-from tests.helpers.engines import an_image, any_checkpoint, noise
+from tests.helpers.checkpoints import an_image, any_checkpoint, noise
 from tests.helpers.exported import GRAPH_BYTES, field, put_together, take_apart, with_config, with_digest, write_export
 from tests.helpers.full import some
 from vapor.checkpoints.checkpoint import Checkpoint

@@ -14,7 +14,7 @@ import pytest
 from filtering.errors import VaporTrackError
 from sequences.atomic import CACHE
 from tests.helpers.checkout import CHECKOUT
-from tests.helpers.engines import an_image, any_checkpoint, noise
+from tests.helpers.checkpoints import an_image, any_checkpoint, noise
 from tests.helpers.full import full
 from tests.helpers.tiny_model import SMALL
 from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint

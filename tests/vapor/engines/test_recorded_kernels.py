@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch.overrides import TorchFunctionMode
 
-from tests.helpers.engines import an_image, any_checkpoint, noise
+from tests.helpers.checkpoints import an_image, any_checkpoint, noise
 from vapor.engines.torch_engine import WholeNetwork
 from vapor.regressors.network_config import REGRESSORS
 

@@ -10,7 +10,7 @@ import pytest
 from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.odometry import OdometryNoise, simulate_odometry
-from sequences.scenes.staircase.scene import walk_stairs
+from sequences.scenes.staircase import walk_stairs
 from sequences.trajectories.interpolation import interpolate
 from sequences.writer import SequenceWriter
 from tests.helpers.full import some

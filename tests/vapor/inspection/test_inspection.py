@@ -14,8 +14,7 @@ from sequences.reading.counts import OUTSIDE
 from tests.helpers.corridors import corridor
 from tests.helpers.data_sets import make_colmap, make_tum
 from tests.helpers.inspected import LEVEL, detailed, only, panorama, scenery, walked, write
-from tests.helpers.pages import ReadPage
-from tests.helpers.rerun_files import entities_of
+from tests.helpers.pages import ReadPage, entities_of
 from tests.helpers.sequence_files import BEGIN_NS, rewrite
 from vapor.inspection.inspect import inspect
 from vapor.inspection.reading import posed_images, read_walks

@@ -18,7 +18,7 @@ from sequences.estimates.sequence import EstimateSequence
 from sequences.frame import Trajectory
 from sequences.odometry import OdometryNoise
 from sequences.trajectories.tum import read_tum, write_tum
-from tests.helpers.pose_text import FRAMES, file_of, hypotheses, moved, noisy, walk, write_named
+from tests.helpers.pose_files import FRAMES, file_of, hypotheses, moved, noisy, walk, write_named
 from tests.helpers.simulation import ERRORS
 from vapor.commands.evaluate import evaluate_directory
 from vapor.pipeline.fuse import EstimateConfig, EstimateModel, errors_of

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from filtering.se3 import Poses
 from sequences.trajectories.tum import read_tum
 from tests.helpers.full import full
-from tests.helpers.pose_text import file_of, hypotheses, moved, noisy, walk
+from tests.helpers.pose_files import file_of, hypotheses, moved, noisy, walk
 from tests.helpers.simulation import ERRORS
 from vapor.pipeline.fuse import EstimateConfig, EstimateModel, mixture_weights
 from vapor.track import main

@@ -11,8 +11,7 @@ from filtering.se3 import Poses
 from sequences.frame import Frame
 from tests.helpers.checks import no_checks
 from tests.helpers.full import full
-from tests.helpers.short_training import Interrupted
-from tests.helpers.tiny_training import STILL, TINY, make_frames, pose
+from tests.helpers.tiny_training import STILL, TINY, Interrupted, make_frames, pose
 from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
 from vapor.evaluation.validation import predict
 from vapor.observation import VaporObservationModel

@@ -6,7 +6,7 @@ import pytest
 
 from filtering.se3 import Poses, rotation_from_rotvec
 from sequences.synthesize import synthesize, write_synthetic
-from tests.helpers.rerun_files import entities_of
+from tests.helpers.pages import entities_of
 from tests.helpers.tiny_model import write_tiny_model
 from vapor.reporting.posterior_pictures import draw_posterior, hopf_coordinates, level_axis
 from vapor.reporting.rerun_shapes import frusta

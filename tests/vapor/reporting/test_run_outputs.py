@@ -10,7 +10,7 @@ from filtering.config import LocalizerConfig
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.reading.counts import ImageCounts
-from tests.helpers.rerun_files import entities_of
+from tests.helpers.pages import entities_of
 from tests.helpers.simulated_run import simulated_steps
 from tests.helpers.simulation import seen_at
 from vapor.reporting.run_outputs import RunOutputs

@@ -9,7 +9,7 @@ import pytest
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.frame import Frame, Trajectory
-from tests.helpers.rerun_files import entities_of
+from tests.helpers.pages import entities_of
 from tests.helpers.simulated_run import simulated_steps
 from vapor.reporting.rerun_place import Place
 from vapor.reporting.rerun_viewer import RerunViewer

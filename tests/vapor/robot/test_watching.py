@@ -10,7 +10,7 @@ import pytest
 from filtering.errors import VaporTrackError
 from filtering.estimate import Estimate
 from sequences.frame import Frame
-from tests.helpers.localizer_walks import new_localizer, walk
+from tests.helpers.simulation import new_localizer, walk
 from vapor.reporting.rerun_viewer import RerunViewer
 from vapor.robot import viewers
 from vapor.robot.viewers import WatchingViewer

@@ -9,8 +9,7 @@ from filtering.se3 import Poses
 from sequences.frame import Frame
 from tests.helpers.checks import no_checks
 from tests.helpers.full import full
-from tests.helpers.short_training import Interrupted, same_weights, train_on_most
-from tests.helpers.tiny_training import TINY, make_frames
+from tests.helpers.tiny_training import TINY, Interrupted, make_frames, same_weights, train_on_most
 from vapor.training.presets import PRESETS
 from vapor.training.train import train_on
 

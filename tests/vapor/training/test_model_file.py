@@ -7,8 +7,7 @@ import pytest
 
 from filtering.se3 import Poses
 from tests.helpers.checkout import SHARED_DATA
-from tests.helpers.short_training import train_on_most
-from tests.helpers.tiny_training import TINY, make_frames, pose
+from tests.helpers.tiny_training import TINY, make_frames, pose, train_on_most
 from vapor.checkpoints.file_format import load_checkpoint
 from vapor.regressors.loss import LossConfig
 from vapor.training.train import train, train_on

@@ -7,8 +7,7 @@ import pytest
 import torch
 
 from filtering.errors import VaporTrackError
-from tests.helpers.short_training import train_on_most
-from tests.helpers.tiny_training import TINY, make_frames
+from tests.helpers.tiny_training import TINY, make_frames, train_on_most
 from vapor.checkpoints.calibration import Calibration
 from vapor.regressors.loss import LossConfig
 from vapor.training import epoch as batches

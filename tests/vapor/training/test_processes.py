@@ -13,8 +13,7 @@ import pytest
 
 from filtering.se3 import Poses
 from tests.helpers.full import full
-from tests.helpers.short_training import Interrupted, interrupt_at
-from tests.helpers.tiny_training import TINY, make_frames
+from tests.helpers.tiny_training import TINY, Interrupted, interrupt_at, make_frames
 from vapor.training import processes
 from vapor.training.processes import joined_processes, own_part, require_shares
 from vapor.training.train import train_on

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from filtering.se3 import Poses
-from tests.helpers.short_training import Interrupted, interrupt_at, same_weights, train_on_most
-from tests.helpers.tiny_training import TINY, make_frames, pose
+from tests.helpers.tiny_training import TINY, Interrupted, interrupt_at, make_frames, pose, same_weights, train_on_most
 from vapor.tensor_files import CheckpointError
 from vapor.training import state as saving
 from vapor.training.state import state_path

@@ -11,8 +11,7 @@ import torch
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from tests.helpers.full import full
-from tests.helpers.short_training import same_weights, train_on_most
-from tests.helpers.tiny_training import STILL, TINY, make_frames, pose
+from tests.helpers.tiny_training import STILL, TINY, make_frames, pose, same_weights, train_on_most
 from vapor.checkpoints.file_format import load_checkpoint
 from vapor.evaluation.validation import validate
 from vapor.observation import VaporObservationModel

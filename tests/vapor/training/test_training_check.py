@@ -7,8 +7,8 @@ import pytest
 
 from filtering.error_model import ErrorModel
 from filtering.se3 import Poses
-from tests.helpers.climbing_frames import frames_of
 from tests.helpers.full import full, some
+from tests.helpers.simulation import frames_of
 from vapor.calibration.calibrate import CalibrationResult
 from vapor.checkpoints.calibration import Calibration
 from vapor.training import check as training_check

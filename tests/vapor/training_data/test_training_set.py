@@ -7,9 +7,9 @@ import pytest
 
 from filtering.se3 import Poses
 from sequences.frame import Frame
-from tests.helpers.climbing_frames import frames_of
 from tests.helpers.data_sets import make_7scenes, make_colmap
 from tests.helpers.sequence_files import Walk, as_split_folder
+from tests.helpers.simulation import frames_of
 from tests.helpers.tiny_training import TINY, make_frames, pose
 from vapor.benchmark.regressors.training_runs import identity
 from vapor.evaluation.validation import predict

@@ -16,7 +16,7 @@ from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.datasets.frames import posed_frames
 from sequences.frame import BASE_FROM_CAMERA, Frame
-from sequences.scenes.staircase.scene import walk_stairs
+from sequences.scenes.staircase import walk_stairs
 from tests.helpers.inspected import CAMERA, LEVEL, panorama
 from vapor.training_data.views import AS_STATED, ViewCheck, Views, said_of_views
 

@@ -1,16 +1,152 @@
-"""The stairwells of a building: storeys alike, and what closes them at the bottom and at the top."""
+"""The corridors, rooms and stairwells of a building."""
 
 from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import replace
 
 import numpy as np
 
 from sequences.rendering.mesh import Part, Placement
 from sequences.rendering.texture import plain
-from sequences.scenes.building.looks import Looks, Palette
-from sequences.scenes.building.paint.colours import colour
-from sequences.scenes.building.paint.walls import painted_door
-from sequences.scenes.building.parts import JAMB, Hole, add_lamps, add_slab, add_wall, place_copies
-from sequences.scenes.building.plan import Plan
+from sequences.scenes.building.layout import Layout, layout, pieces_of
+from sequences.scenes.building.paint import colour, painted_door
+from sequences.scenes.building.parts import (
+    JAMB,
+    Hole,
+    Looks,
+    Palette,
+    add_lamps,
+    add_leaf,
+    add_slab,
+    add_trim,
+    add_wall,
+    place_copies,
+)
+from sequences.scenes.building.plan import DOOR_HEIGHT, DOOR_WIDTH, Block, Plan, Slot, Spot
+
+
+def wall_spot(block: Block, high: bool, x: float) -> Spot:
+    """The frame of a corridor's wall, in the block: x along the wall, y out of it; it begins at x of the block."""
+    return Spot(x, block.width, np.pi) if high else Spot(x, 0.0, 0.0)
+
+
+def free_walls(plan: Plan, block: Block, shortest: float) -> list[tuple[bool, float, float]]:
+    """Stretches of a corridor's walls without doors and windows: side, begin and end along the corridor."""
+    free = []
+    for high in (False, True):
+        reached = 0.25
+        for slot in sorted((s for s in block.slots if s.high == high), key=lambda s: s.begin):
+            begin, end, _ = _opening(plan, slot)
+            if slot.kind == "window":
+                begin, end = slot.begin, slot.end
+            if begin - 0.15 - reached >= shortest:
+                free.append((high, reached, begin - 0.15))
+            reached = end + 0.15
+        if block.length - 0.25 - reached >= shortest:
+            free.append((high, reached, block.length - 0.25))
+    return free
+
+
+def corridor(plan: Plan, index: int, looks: Looks, style: int) -> Part:
+    """The corridor of a block, on the levels of one style, without what is behind its openings."""
+    part, block, palette = Part(), plan.blocks[index], looks.palettes[style]
+    length, width, clear = block.length, block.width, plan.clear
+    add_slab(part, length, width, 0.0, palette.corridor_floor, True)
+    add_slab(part, length, width, clear, palette.ceiling, False)
+    holes: dict[bool, list[Hole]] = {False: [], True: []}
+    for slot in block.slots:
+        begin, end, top = _opening(plan, slot)
+        low_side = wall_spot(block, slot.high, end if slot.high else begin)
+        if slot.kind == "window":
+            size = min(slot.end - slot.begin - 0.6, 2.4)
+            if size > 0.5:
+                at = (slot.door - size / 2, slot.door + size / 2)
+                holes[slot.high].append(Hole(*at, 0.9, min(2.2, clear - 0.2), looks.pane))
+        elif slot.kind == "door":
+            add_leaf(part, low_side, palette.doors[slot.look % len(palette.doors)])
+            add_trim(part, low_side, DOOR_WIDTH, DOOR_HEIGHT, palette.trim)
+        else:
+            holes[slot.high].append(Hole(begin, end, 0.0, top, deep=plan.wall))
+            if slot.kind == "room":
+                add_trim(part, low_side, DOOR_WIDTH, DOOR_HEIGHT, palette.trim)
+    wall, trim, rng = palette.corridor_wall, palette.trim, plan.rng(7, index)
+    mirrored = [replace(hole, begin=length - hole.end, end=length - hole.begin) for hole in holes[False]]
+    add_wall(part, (length, 0), (0, 0), (0, clear), wall, mirrored, trim)
+    add_wall(part, (0, width), (length, width), (0, clear), wall, holes[True], trim)
+    window = [Hole(0.3, width - 0.3, 0.9, min(2.2, clear - 0.2), looks.pane)]
+    first, last = (window if rng.random() < 0.6 else [] for _ in range(2))
+    if block.open_start:
+        first = [Hole(JAMB, width - JAMB, 0.0, min(2.5, clear - 0.12), deep=0.0)]
+    add_wall(part, (0, 0), (0, width), (0, clear), wall, first, trim)
+    add_wall(part, (length, width), (length, 0), (0, clear), wall, last, trim)
+    add_lamps(part, length, width, clear, looks.lamp_spacing, looks)
+    if rng.random() < 0.6:
+        _extinguishers(part, plan, block, rng)
+    return part
+
+
+def _opening(plan: Plan, slot: Slot) -> tuple[float, float, float]:
+    """Begin, end and height of a slot's opening."""
+    if slot.kind in ("stairs", "wing"):
+        return slot.begin + JAMB, slot.end - JAMB, min(2.5, plan.clear - 0.12)
+    return slot.door - DOOR_WIDTH / 2, slot.door + DOOR_WIDTH / 2, DOOR_HEIGHT
+
+
+def _extinguishers(part: Part, plan: Plan, block: Block, rng: np.random.Generator) -> None:
+    red = plain((0.55, 0.03, 0.025), gloss=0.6)
+    for high, begin, _ in free_walls(plan, block, 1.5):
+        if rng.random() < 0.3:
+            x, y = wall_spot(block, high, begin + 0.2).points(np.array([[0.0, 0.08]]))[0]
+            part.beam((x, y, 0.6), (x, y, 1.05), 0.065, red, 8)
+            part.beam((x, y, 1.05), (x, y, 1.15), 0.03, plain((0.03, 0.03, 0.03)), 6)
+
+
+def place_rooms(plan: Plan, looks: Looks, style: int, levels: list[int]) -> list[Placement]:
+    """The rooms of one style: those with the same layout are one part."""
+    spots: dict[int, list[Spot]] = defaultdict(list)
+    rooms: dict[int, tuple[Layout, int]] = {}
+    for block, slot in plan.slots("room"):
+        room = layout(plan, slot, style)
+        rooms[id(room)] = room, slot.look
+        spots[id(room)].append(plan.frame_of(block, slot))
+    return [place_copies(_room(plan, *rooms[key], looks, style), spots[key], levels, plan) for key in rooms]
+
+
+def _room(plan: Plan, room: Layout, look: int, looks: Looks, style: int) -> Part:
+    part, palette, clear = Part(), looks.palettes[style], plan.clear
+    width, depth = room.width, room.depth
+    wall, trim = palette.room_walls[look], palette.trim
+    add_slab(part, width, depth, 0.0, palette.room_floors[look], True)
+    add_slab(part, width, depth, clear, palette.ceiling, False)
+    begin, end = room.door - DOOR_WIDTH / 2, room.door + DOOR_WIDTH / 2
+    add_wall(
+        part, (width, 0), (0, 0), (0, clear), wall, [Hole(width - end, width - begin, 0.0, DOOR_HEIGHT, deep=0.0)], trim
+    )
+    add_wall(part, (0, 0), (0, depth), (0, clear), wall, [], trim)
+    panes = [Hole(a, b, low, high, looks.pane) for a, b, low, high in room.windows]
+    add_wall(part, (0, depth), (width, depth), (0, clear), wall, panes, trim)
+    add_wall(part, (width, depth), (width, 0), (0, clear), wall, [], trim)
+    add_trim(part, Spot(begin, 0.0, 0.0), DOOR_WIDTH, DOOR_HEIGHT, trim)
+    if room.leaf is not None:
+        painted = palette.doors[look % len(palette.doors)]
+        part.box((room.leaf[0], 0.04, 0), (room.leaf[1], 0.08, DOOR_HEIGHT), painted)
+    add_lamps(part, width, depth, clear, max(2.6, looks.lamp_spacing), looks)
+    return part
+
+
+def place_furniture(plan: Plan) -> list[Placement]:
+    """Furniture: one part for each type, wherever it stands."""
+    places: dict[str, list[tuple[float, float, float, float]]] = defaultdict(list)
+    for level, style in enumerate(plan.styles):
+        for block, slot in plan.slots("room"):
+            frame = plan.frame_of(block, slot)
+            for name, local in layout(plan, slot, style).pieces:
+                spot = local.within(frame)
+                places[name].append((spot.x, spot.y, level * plan.storey, spot.heading))
+    pieces, found = pieces_of(plan), {name: np.array(each) for name, each in places.items()}
+    return [Placement(pieces[name].part, each[:, :3], each[:, 3]) for name, each in found.items()]
+
 
 _RAIL_HEIGHT = 0.95
 
@@ -57,7 +193,6 @@ def _landing_lamp(plan: Plan, looks: Looks) -> Part:
 
 
 def _flights(plan: Plan, looks: Looks, palette: Palette) -> Part:
-    """Two flights and the half landing, with the wall and the window behind it."""
     part, stairs = Part(), plan.stairs
     half, n, g = plan.storey / 2, stairs.risers, stairs.going
     rise, near, far = half / n, stairs.landing, stairs.landing + stairs.run
@@ -89,7 +224,6 @@ def _flights(plan: Plan, looks: Looks, palette: Palette) -> Part:
 
 
 def _balustrades(part: Part, plan: Plan, palette: Palette) -> None:
-    """Rails on the inner side of both flights, with bars or a panel below, and across the half landing."""
     stairs, half = plan.stairs, plan.storey / 2
     near, run = stairs.landing, stairs.run
     far, rise, slope = near + run, half / stairs.risers, half / stairs.risers / stairs.going
@@ -139,7 +273,7 @@ def _top(plan: Plan, looks: Looks, palette: Palette) -> Part:
 
 
 def _low_panel(plan: Plan, palette: Palette) -> Part:
-    """What closes the space below the lowest flight that comes down: there is no way further."""
+    """A panel below the lowest flight that comes down."""
     part, stairs = Part(cue=True), plan.stairs
     (a, b), inner = stairs.down_x, stairs.up_x[0] if stairs.mirrored else stairs.up_x[1]
     x0, x1 = (a, inner) if stairs.mirrored else (inner, b)
@@ -150,7 +284,6 @@ def _low_panel(plan: Plan, palette: Palette) -> Part:
 
 
 def _guard(plan: Plan, palette: Palette) -> Part:
-    """What keeps people from falling where no flight leads further up."""
     part, stairs = Part(cue=True), plan.stairs
     a, b = stairs.up_x
     y = stairs.landing - 0.03

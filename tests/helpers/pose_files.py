@@ -1,4 +1,4 @@
-"""Files of poses as estimators write them, and a walk of two sequences to estimate."""
+"""Files of poses: one walk as TUM, EuRoC and KITTI write it, and two sequences as estimators write them."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -7,6 +7,33 @@ import numpy as np
 
 from filtering.se3 import Poses
 from sequences.estimates.sequence import HYPOTHESIS
+from sequences.frame import Trajectory
+from sequences.trajectories.tum import write_tum
+from tests.helpers.tf_files import body, stamps
+
+TIMES_NS = np.array(stamps(), np.int64)
+TRACK = Trajectory(TIMES_NS, Poses.stack([body(t) for t in stamps()]))
+
+
+def as_tum(folder: Path) -> Path:
+    write_tum(folder / "poses.tum", TRACK)
+    return folder / "poses.tum"
+
+
+def as_euroc(folder: Path) -> Path:
+    lines = ["#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z [], v"]
+    for time_ns, p, (x, y, z, w) in zip(TIMES_NS, TRACK.poses.translation, TRACK.poses.as_quat_xyzw(), strict=True):
+        lines.append(",".join(map(str, [time_ns, *p, w, x, y, z, 0.5])))
+    (folder / "data.csv").write_text("\n".join(lines) + "\n")
+    return folder / "data.csv"
+
+
+def as_kitti(folder: Path) -> Path:
+    rows = TRACK.poses.as_matrix()[:, :3].reshape(-1, 12)
+    (folder / "00.txt").write_text("\n".join(" ".join(map(str, row)) for row in rows))
+    (folder / "times.txt").write_text("\n".join(f"{t // 10**9}.{t % 10**9:09d}" for t in TIMES_NS.tolist()))
+    return folder / "00.txt"
+
 
 FRAMES = 60  # of each of the two sequences
 
@@ -24,14 +51,12 @@ def walk(seed: int = 0) -> dict[str, Poses]:
 
 
 def noisy(poses: Mapping[str, Poses], std_m: float, std_rad: float, seed: int = 0) -> dict[str, Poses]:
-    """The same frames with Gaussian errors."""
     scale = np.repeat([std_m, std_rad], 3)
     rng = np.random.default_rng(seed)
     return {name: pose @ Poses.exp(scale * rng.standard_normal(6)) for name, pose in poses.items()}
 
 
 def moved(pose: Poses, metres: float) -> Poses:
-    """A pose so far along the x axis of the world."""
     return Poses(pose.rotation, pose.translation + np.array([metres, 0.0, 0.0]))
 
 

@@ -1,1 +1,0 @@
-"""What the surfaces of a building look like."""

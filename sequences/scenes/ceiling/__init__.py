@@ -1,1 +1,0 @@
-"""A hall whose ceiling repeats itself."""

@@ -1,1 +1,0 @@
-"""Two floors alike, each a long corridor that repeats itself."""

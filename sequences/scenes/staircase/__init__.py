@@ -1,1 +1,0 @@
-"""A stairwell of six floors, four of which look the same."""
