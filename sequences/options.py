@@ -14,7 +14,7 @@ from filtering.errors import VaporTrackError, require_within
 from filtering.motion import MotionNoise
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
-from sequences.trajectories.columns import require_columns
+from sequences.trajectories.pose_lines import require_columns
 from sequences.trajectories.pose_tables import times_beside
 
 OdometryUse = Literal["required", "optional", "unread"]

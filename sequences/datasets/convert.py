@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from filtering.se3 import Poses
+from sequences.datasets.layout import PosedImages
 from sequences.datasets.layout_helpers.image_files import decoded_file, read_image_bytes
 from sequences.datasets.listing import list_images
-from sequences.datasets.posed_images import PosedImages
 from sequences.errors import SequenceError
-from sequences.files.rows import Rows
+from sequences.files import Rows
 from sequences.frame import BASE_FROM_CAMERA, Camera
 from sequences.images.headers import why_left_out
 from sequences.images.undistortion import Lens

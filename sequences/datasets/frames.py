@@ -8,12 +8,12 @@ from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
+from sequences.datasets.layout import PosedImages
 from sequences.datasets.layout_helpers.image_files import decoded_file
 from sequences.datasets.listing import is_recording, list_images
-from sequences.datasets.posed_images import PosedImages
-from sequences.datasets.seen_points import SeenPoints
+from sequences.datasets.points import SeenPoints
 from sequences.errors import SequenceError
-from sequences.files.rows import Rows
+from sequences.files import Rows
 from sequences.frame import Camera, Frame
 from sequences.images.headers import why_left_out
 from sequences.images.undistortion import Lens, pinhole_of, undistorted

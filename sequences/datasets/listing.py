@@ -10,9 +10,8 @@ from importlib import import_module
 from pathlib import Path
 
 from sequences.datasets import layouts
-from sequences.datasets.layout import INTRINSICS_LEVELS, Layout
+from sequences.datasets.layout import INTRINSICS_LEVELS, Layout, PosedImages
 from sequences.datasets.layout_helpers.packed import PackedImage
-from sequences.datasets.posed_images import PosedImages
 from sequences.errors import SequenceError
 from sequences.recordings.recording_file import SUFFIXES
 

@@ -16,7 +16,7 @@ from sequences.errors import SequenceError
 from sequences.estimates.options import EstimateOptions
 from sequences.estimates.pose_files import FrameName, PoseFile, frames_by, natural_order, read_poses
 from sequences.estimates.tracks import OdometryTrack, frame_stamps
-from sequences.files.rows import Rows
+from sequences.files import Rows
 from sequences.frame import BASE_FROM_CAMERA, Frame, Trajectory
 from sequences.odometry import simulate_odometry
 from sequences.reading.counts import NO_ESTIMATE, ImageCounts

@@ -13,8 +13,7 @@ from filtering.se3 import Poses
 from sequences.estimates.pose_files import FrameName, PoseFile, natural_order
 from sequences.frame import BASE_FROM_CAMERA
 from sequences.reading.counts import uncovered
-from sequences.trajectories.increments import odometry_between
-from sequences.trajectories.interpolation import MAX_ODOMETRY_GAP_S, interpolate
+from sequences.trajectories.interpolation import MAX_ODOMETRY_GAP_S, interpolate, odometry_between
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from sequences.recordings.messages import pose_from_message, stamp_ns
 from sequences.recordings.source import MessageSource, Topic
 from sequences.recordings.topics import decode, first
 from sequences.trajectories.interpolation import pose_at
-from sequences.trajectories.jumps import Motion, is_jump
+from sequences.trajectories.pose_window import Motion, is_jump
 
 
 class TabledPoses(PoseSource):

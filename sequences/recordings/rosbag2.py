@@ -13,8 +13,7 @@ from typing import Any
 
 from filtering.errors import quoted
 from sequences.errors import SequenceError
-from sequences.files.paths import require_inside
-from sequences.files.structured import read_yaml
+from sequences.files import read_yaml, require_inside
 from sequences.values import parse_whole
 
 _MOST_MESSAGES = 10**18

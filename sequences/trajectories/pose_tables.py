@@ -12,11 +12,9 @@ from jaxtyping import Float64
 from filtering.errors import quoted
 from filtering.se3 import Poses, nearest_rotation
 from sequences.errors import SequenceError
-from sequences.files.rows import Rows
-from sequences.files.text import read_rows
+from sequences.files import Rows, read_rows
 from sequences.frame import Trajectory
-from sequences.trajectories.columns import Columns, stamp_ns
-from sequences.trajectories.pose_lines import fields_of, pose_rows, read_increasing, typical
+from sequences.trajectories.pose_lines import Columns, fields_of, pose_rows, read_increasing, stamp_ns, typical
 from sequences.trajectories.tum import read_tum
 from sequences.values import LARGEST, MAX_TIME_NS, parse_numbers, parse_time_ns, parse_whole
 

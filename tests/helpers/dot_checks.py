@@ -8,8 +8,8 @@ import pytest
 
 from sequences.datasets.convert import convert
 from sequences.datasets.frames import posed_frames
+from sequences.datasets.layout import PosedImages
 from sequences.datasets.listing import list_images
-from sequences.datasets.posed_images import PosedImages
 from sequences.errors import SequenceError
 from sequences.frame import Frame
 from tests.helpers import dot_scene

@@ -7,11 +7,10 @@ import pytest
 from sequences import synthesize as synthesize_module
 from sequences import synthetic_sequence as sequence_module
 from sequences.errors import SequenceError
-from sequences.paths.motion import Stand
+from sequences.paths import Stand
 from sequences.rendering.render import render, sees_cue
 from sequences.scenes import SCENES, find_scene
-from sequences.synthesize import synthesize
-from sequences.synthetic_sequence import SyntheticSequence
+from sequences.synthesize import SyntheticSequence, synthesize
 from tests.helpers.rendered_depth import depth_and_quads
 
 pytestmark = pytest.mark.usefixtures("unchecked", "rough_light")

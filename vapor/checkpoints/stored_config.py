@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from filtering.errors import VaporTrackError, quoted
-from sequences.files.structured import parse_json
+from sequences.files import parse_json
 from sequences.frame import Camera
 from vapor.regressors.scene_box import SceneBox
 from vapor.tensor_files import CheckpointError

@@ -9,8 +9,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from sequences.outputs.claims import refuse_other
-from sequences.outputs.manifest import MANIFEST, UNCHECKED
+from sequences.outputs import MANIFEST, UNCHECKED, refuse_other
 from vapor.commands.console import OutputPath, Overwrite, command_line, parse, show, show_notices
 from vapor.evaluation.run_directory import evaluate_directory, files_read
 from vapor.reporting.html.findings_page import findings_page

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import tyro
 
-from sequences.outputs.claims import refuse_other
+from sequences.outputs import refuse_other
 from vapor.checkpoints.file_format import ONNX, is_onnx, load_checkpoint
 from vapor.checkpoints.shipped_models import find_model
 from vapor.commands.console import OutputPath, Overwrite, parse, show, usage_error

@@ -13,9 +13,9 @@ from typing import Annotated
 import tyro
 
 from filtering.errors import VaporTrackError, shortened
-from sequences.datasets.scene_points import scene_points
+from sequences.datasets.points import scene_points
 from sequences.options import SequenceOptions
-from sequences.outputs.results import results_folder
+from sequences.outputs import results_folder
 from vapor.checkpoints.shipped_models import find_model
 from vapor.commands.console import (
     OutputPath,

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 from filtering.errors import VaporTrackError
-from sequences.files.rows import Rows
-from sequences.outputs.manifest import MANIFEST, verify
-from sequences.trajectories.columns import require_columns
+from sequences.files import Rows
+from sequences.outputs import MANIFEST, verify
+from sequences.trajectories.pose_lines import require_columns
 from sequences.trajectories.pose_tables import read_pose_table
 from sequences.trajectories.tum import read_tum
 from vapor.evaluation.trajectory import associate, evaluate_methods

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Int64
 from scipy.spatial import KDTree
 
-from sequences.datasets.seen_points import POINTS_OF_A_MODEL, SeenPoints
+from sequences.datasets.points import POINTS_OF_A_MODEL, SeenPoints
 from vapor.landmarks.features import Features
 from vapor.landmarks.tracks import Matches
 from vapor.landmarks.view_camera import ViewCamera

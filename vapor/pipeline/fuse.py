@@ -11,7 +11,7 @@ from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.estimates.options import EstimateOptions
 from sequences.estimates.sequence import EstimateSequence
-from sequences.outputs.results import results_folder
+from sequences.outputs import results_folder
 from vapor.pipeline.config import FilteringConfig
 from vapor.pipeline.estimate_model import EstimateConfig, EstimateModel, errors_of
 from vapor.pipeline.localize import localize

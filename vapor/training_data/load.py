@@ -12,7 +12,7 @@ import numpy as np
 from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.datasets.frames import PosedFrames
-from sequences.datasets.seen_points import POINTS_OF_A_MODEL, SeenPoints
+from sequences.datasets.points import POINTS_OF_A_MODEL, SeenPoints
 from sequences.frame import Camera, Frame
 from vapor.cameras import AsTakenBy, described
 from vapor.images import centre_crop, scale_to_cover

@@ -22,14 +22,12 @@ import numpy as np
 
 from filtering.errors import quoted
 from filtering.se3 import Poses
-from sequences.datasets.layout import Layout
-from sequences.datasets.layout_helpers.intrinsics import find_camera
-from sequences.datasets.layout_helpers.named import list_named
+from sequences.datasets.layout import Layout, PosedImages
+from sequences.datasets.layout_helpers.image_files import find_camera
+from sequences.datasets.layout_helpers.pose_lists import list_named
 from sequences.datasets.layout_helpers.pose_rows import read_pose_row
-from sequences.datasets.posed_images import PosedImages
 from sequences.errors import SequenceError
-from sequences.files.rows import Rows
-from sequences.files.text import read_lines
+from sequences.files import Rows, read_lines
 from sequences.values import is_number
 
 _NAME = "Cambridge Landmarks"

@@ -24,7 +24,7 @@ from jaxtyping import Float64, Int64
 
 from filtering.errors import quoted
 from filtering.se3 import Poses
-from sequences.datasets.layout import Layout
+from sequences.datasets.layout import Layout, PosedImages
 from sequences.datasets.layout_helpers.colmap_binary import (
     LARGEST_ID,
     NUM_PARAMETERS,
@@ -33,16 +33,13 @@ from sequences.datasets.layout_helpers.colmap_binary import (
     image_rows,
     keypoint_rows,
 )
-from sequences.datasets.layout_helpers.intrinsics import camera_of, lens_of, scaled_to
-from sequences.datasets.layout_helpers.named import list_named
+from sequences.datasets.layout_helpers.image_files import camera_of, lens_of, scaled_to
 from sequences.datasets.layout_helpers.packed import ImageFile
+from sequences.datasets.layout_helpers.pose_lists import list_named
 from sequences.datasets.layout_helpers.pose_rows import read_pose_row
-from sequences.datasets.posed_images import PosedImages
-from sequences.datasets.scene_points import point_ids
-from sequences.datasets.seen_points import PointsOfImages, seen_points
+from sequences.datasets.points import PointsOfImages, point_ids, seen_points
 from sequences.errors import SequenceError
-from sequences.files.rows import Rows
-from sequences.files.text import read_lines, read_rows
+from sequences.files import Rows, read_lines, read_rows
 from sequences.frame import Camera
 from sequences.images.undistortion import DistortionModel, Lens
 from sequences.values import parse_numbers, parse_whole

@@ -17,17 +17,12 @@ import numpy as np
 
 from filtering.errors import quoted
 from filtering.se3 import Poses
-from sequences.datasets.layout import Layout
-from sequences.datasets.layout_helpers.image_files import num_beside
-from sequences.datasets.layout_helpers.intrinsics import camera_of, lens_of, scaled_to
+from sequences.datasets.layout import Layout, PosedImages
+from sequences.datasets.layout_helpers.image_files import camera_of, lens_of, num_beside, scaled_to
 from sequences.datasets.layout_helpers.packed import ImageFile
 from sequences.datasets.layout_helpers.pose_rows import read_pose_matrix
-from sequences.datasets.posed_images import PosedImages
 from sequences.errors import SequenceError
-from sequences.files.paths import require_inside
-from sequences.files.rows import Rows
-from sequences.files.structured import read_yaml
-from sequences.files.text import read_rows
+from sequences.files import Rows, read_rows, read_yaml, require_inside
 from sequences.frame import Camera
 from sequences.images.undistortion import DistortionModel, Lens
 from sequences.trajectories.interpolation import MAX_TRUE_POSE_GAP_S, interpolate

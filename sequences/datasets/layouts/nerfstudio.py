@@ -20,16 +20,13 @@ from typing import Any
 
 from filtering.errors import quoted
 from filtering.se3 import Poses
-from sequences.datasets.layout import Layout
-from sequences.datasets.layout_helpers.image_files import size_of_first
-from sequences.datasets.layout_helpers.intrinsics import camera_of, lens_of, scaled_to
-from sequences.datasets.layout_helpers.named import list_named
+from sequences.datasets.layout import Layout, PosedImages
+from sequences.datasets.layout_helpers.image_files import camera_of, lens_of, scaled_to, size_of_first
 from sequences.datasets.layout_helpers.packed import ImageFile
+from sequences.datasets.layout_helpers.pose_lists import list_named
 from sequences.datasets.layout_helpers.pose_rows import from_opengl, read_pose_matrix
-from sequences.datasets.posed_images import PosedImages
 from sequences.errors import SequenceError
-from sequences.files.rows import Rows
-from sequences.files.structured import read_json
+from sequences.files import Rows, read_json
 from sequences.frame import Camera
 from sequences.images.undistortion import DistortionModel, Lens
 from sequences.values import LARGEST, parse_number

@@ -17,15 +17,12 @@ import numpy as np
 
 from filtering.errors import quoted
 from filtering.se3 import Poses
-from sequences.datasets.layout import Layout
-from sequences.datasets.layout_helpers.intrinsics import camera_of, scaled_to
+from sequences.datasets.layout import Layout, PosedImages
+from sequences.datasets.layout_helpers.image_files import camera_of, scaled_to
 from sequences.datasets.layout_helpers.packed import Archive, ImageFile, PackedImage
 from sequences.datasets.layout_helpers.pose_rows import from_opengl, read_pose_row, stack_poses
-from sequences.datasets.posed_images import PosedImages
 from sequences.errors import SequenceError
-from sequences.files.paths import require_inside
-from sequences.files.rows import Rows
-from sequences.files.structured import parse_json, read_json
+from sequences.files import Rows, parse_json, read_json, require_inside
 from sequences.frame import Camera
 from sequences.values import LARGEST, parse_frame_number, parse_number, parse_time_ns
 

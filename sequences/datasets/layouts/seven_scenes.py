@@ -12,14 +12,11 @@ from pathlib import Path
 
 from filtering.errors import quoted
 from filtering.se3 import Poses
-from sequences.datasets.layout import Layout
-from sequences.datasets.layout_helpers.intrinsics import find_camera
+from sequences.datasets.layout import Layout, PosedImages
+from sequences.datasets.layout_helpers.image_files import find_camera
 from sequences.datasets.layout_helpers.pose_rows import read_pose_matrix, stack_poses
-from sequences.datasets.posed_images import PosedImages
 from sequences.errors import SequenceError
-from sequences.files.paths import require_inside
-from sequences.files.rows import Rows
-from sequences.files.text import read_rows
+from sequences.files import Rows, read_rows, require_inside
 from sequences.frame import Camera
 from sequences.values import parse_frame_number, parse_numbers
 

@@ -17,15 +17,12 @@ import numpy as np
 
 from filtering.errors import quoted
 from filtering.se3 import Poses
-from sequences.datasets.layout import Layout
+from sequences.datasets.layout import Layout, PosedImages
 from sequences.datasets.layout_helpers.image_files import images_by_number, images_in, size_of_first
 from sequences.datasets.layout_helpers.packed import ImageFile, VideoFile
 from sequences.datasets.layout_helpers.pose_rows import read_pose_row, stack_poses
-from sequences.datasets.posed_images import PosedImages
 from sequences.errors import SequenceError
-from sequences.files.paths import require_inside
-from sequences.files.rows import Rows
-from sequences.files.text import read_rows
+from sequences.files import Rows, read_rows, require_inside
 from sequences.frame import Camera
 from sequences.values import parse_frame_number, parse_numbers, parse_time_ns
 

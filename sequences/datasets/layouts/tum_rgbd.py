@@ -9,14 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from filtering.errors import quoted
-from sequences.datasets.layout import Layout
-from sequences.datasets.layout_helpers.image_files import num_beside
-from sequences.datasets.layout_helpers.intrinsics import find_camera
-from sequences.datasets.posed_images import PosedImages
+from sequences.datasets.layout import Layout, PosedImages
+from sequences.datasets.layout_helpers.image_files import find_camera, num_beside
 from sequences.errors import SequenceError
-from sequences.files.paths import require_inside
-from sequences.files.rows import Rows
-from sequences.files.text import read_rows
+from sequences.files import Rows, read_rows, require_inside
 from sequences.frame import Camera
 from sequences.trajectories.interpolation import MAX_TRUE_POSE_GAP_S, interpolate
 from sequences.trajectories.tum import read_tum

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d, minimum_filter1d
 
 from filtering.se3 import Poses
-from sequences.paths.motion import STEP_S, rotations, wander
+from sequences.paths import STEP_S, rotations, wander
 from sequences.scenes.building.plan import Plan
 from sequences.scenes.building.visit import Visit
 from sequences.scenes.building.ways import ASIDE_M, Station, Ways, ways

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from filtering.se3 import Poses
-from sequences.paths.motion import STEP_S, rotations, wander
+from sequences.paths import STEP_S, rotations, wander
 from sequences.rendering.mesh import Placement
 from sequences.scenes.ceiling import hall
 from sequences.scenes.ceiling.dimensions import (

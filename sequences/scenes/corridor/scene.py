@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from filtering.se3 import Poses
-from sequences.paths.motion import STEP_S, eased, rotations, wander
+from sequences.paths import STEP_S, eased, rotations, wander
 from sequences.rendering.mesh import Placement
 from sequences.scenes.corridor import bays
 from sequences.scenes.corridor.dimensions import (

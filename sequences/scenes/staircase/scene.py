@@ -7,7 +7,7 @@ from jaxtyping import Float64
 from scipy.ndimage import gaussian_filter1d
 
 from filtering.se3 import Poses
-from sequences.paths.motion import STEP_S, eased, eased_angle, rotations, wander
+from sequences.paths import STEP_S, eased, eased_angle, rotations, wander
 from sequences.rendering.mesh import Placement
 from sequences.scenes.scene import HELMET, Scene
 from sequences.scenes.staircase import flights, unique

@@ -53,7 +53,7 @@ NEW_LAYOUT = """
 import numpy as np
 from filtering.se3 import Poses
 from sequences.datasets.layout import Layout
-from sequences.datasets.posed_images import PosedImages
+from sequences.datasets.layout import PosedImages
 
 
 def list_images(path):

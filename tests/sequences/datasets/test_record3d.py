@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from sequences.datasets.listing import list_images
-from sequences.files.rows import UNUSABLE
+from sequences.files import UNUSABLE
 from tests.helpers.dot_checks import check, check_conversion, leaves_out, refuse
 from tests.helpers.phone_data_sets import (
     NUM,

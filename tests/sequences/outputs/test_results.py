@@ -8,9 +8,7 @@ import pytest
 
 from sequences.atomic import NEW, atomic_output
 from sequences.errors import SequenceError
-from sequences.outputs.claims import claim_folder
-from sequences.outputs.manifest import MANIFEST, read_manifest, verify
-from sequences.outputs.results import results_folder
+from sequences.outputs import MANIFEST, claim_folder, read_manifest, results_folder, verify
 from tests.helpers.results import WRITES, contents, interrupt, refused, whole, write
 
 

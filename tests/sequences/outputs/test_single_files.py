@@ -7,7 +7,7 @@ import pytest
 
 from sequences.atomic import atomic_output
 from sequences.errors import SequenceError
-from sequences.outputs.claims import refuse_other
+from sequences.outputs import refuse_other
 from tests.helpers.results import write
 
 

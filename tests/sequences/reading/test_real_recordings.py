@@ -14,7 +14,7 @@ from sequences.reader import SequenceReader
 from sequences.recordings.bag import Bag
 from sequences.recordings.message_definitions import decoder
 from sequences.recordings.messages import odometry_from_message
-from sequences.trajectories.increments import odometry_between
+from sequences.trajectories.interpolation import odometry_between
 from tests.helpers.other_recordings import close
 
 

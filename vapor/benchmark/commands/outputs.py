@@ -8,9 +8,7 @@ from pathlib import Path
 from typing import Annotated
 
 from filtering.errors import VaporTrackError
-from sequences.outputs.claims import claim_folder
-from sequences.outputs.folders import names_told
-from sequences.outputs.manifest import MANIFEST, own_manifest
+from sequences.outputs import MANIFEST, claim_folder, names_told, own_manifest
 from vapor.benchmark import PROGRAM
 from vapor.commands.console import path_given_by, path_or_url_to_write
 from vapor.parallel.jobs import Workers

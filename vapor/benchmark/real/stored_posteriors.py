@@ -13,12 +13,12 @@ from filtering.config import LocalizerConfig
 from filtering.motion import MotionNoise, Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
-from sequences.files.structured import read_arrays
+from sequences.files import read_arrays
 from sequences.frame import BASE_FROM_CAMERA
 from sequences.odometry import OdometryNoise, simulate_odometry
 from sequences.odometry_fit.fit import fit_odometry
 from sequences.odometry_fit.pieces import OdometrySegment
-from sequences.trajectories.increments import odometry_between
+from sequences.trajectories.interpolation import odometry_between
 from vapor.benchmark.real.row import Draw, RowContext
 from vapor.calibration.image_errors import fit_errors
 from vapor.calibration.observations import Observations

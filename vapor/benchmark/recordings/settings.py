@@ -7,7 +7,7 @@ import json
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from sequences.paths.choose import Cues
+from sequences.paths import Cues
 from sequences.synthesize import SYNTHESIS
 from vapor.cache import code_digest, digest
 from vapor.checkpoints.checkpoint import Checkpoint

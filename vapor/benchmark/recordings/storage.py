@@ -14,7 +14,7 @@ from filtering.errors import VaporTrackError, quoted
 from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
-from sequences.files.structured import read_arrays, read_json
+from sequences.files import read_arrays, read_json
 from vapor.benchmark.recordings.settings import FileSettings, RecordingSettings
 from vapor.landmarks.localize import VerifiedPose
 from vapor.storage import absent, fetched

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from sequences.atomic import atomic_output, workspace
-from sequences.files.structured import read_json
+from sequences.files import read_json
 from vapor.benchmark.regressors.scenes import Scene, identities, identity
 from vapor.cache import digest
 from vapor.checkpoints.file_format import load_checkpoint

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Literal
 
-from sequences.paths.choose import Cues
-from sequences.paths.motion import IMAGE_RATE_HZ
+from sequences.paths import IMAGE_RATE_HZ, Cues
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Int64
 
 from filtering.errors import VaporTrackError
-from sequences.paths.motion import IMAGE_RATE_HZ
+from sequences.paths import IMAGE_RATE_HZ
 from vapor.benchmark.recordings.storage import CameraPath
 from vapor.benchmark.trials import kinds
 from vapor.benchmark.trials.kinds import KINDS, Kind, recorded_images, walk_frames
