@@ -25,7 +25,7 @@ _MAX_LINE = 16 << 20
 
 
 def read_bytes(path: Path, most: int = _MAX_TEXT) -> bytes:
-    """What a file holds. Raises SequenceError where it cannot be read, or has more than so many bytes."""
+    """Content of a file. Raises SequenceError where it cannot be read, or has more than so many bytes."""
     try:
         with open(path, "rb") as stream:
             data = stream.read(most + 1)
@@ -96,12 +96,12 @@ _MAX_DEPTH = 64
 
 
 def read_json(path: Path) -> Any:
-    """What a JSON file says. Raises SequenceError as `read_text` and `parse_json`."""
+    """Content of a JSON file. Raises SequenceError as `read_text` and `parse_json`."""
     return parse_json(read_bytes(path, _MAX_JSON), str(path))
 
 
 def parse_json(text: str | bytes, where: str) -> Any:
-    """What JSON says; NaN and infinity are numbers of it, as Python has it.
+    """Content of JSON text; NaN and infinity are numbers, as in Python's dialect.
 
     Raises:
         SequenceError: it is no JSON, too long or too deeply nested, or has an integer of more than 40 digits. `where`
@@ -188,7 +188,7 @@ def _unusable(_: SequenceError) -> str:
 
 
 class Rows:
-    """What is left out of rows: lines of a table, files of one pose each, images.
+    """Counts the rows left out: lines of a table, files of one pose each, images.
 
     Attributes:
         num_rows: How many were read so far.
@@ -202,8 +202,8 @@ class Rows:
         """Begin to count.
 
         Args:
-            what: What they are, in the plural.
-            reason: The reason by which one is counted that could not be used, from the error that said so.
+            what: Name of the rows, in the plural.
+            reason: The reason for which an unusable row is counted, from its error.
             tolerant: Whether any may be left out; otherwise the first that cannot be used is an error.
         """
         self.num_rows = self.num_unusable = 0
@@ -214,7 +214,7 @@ class Rows:
         """The rows, one after the other.
 
         Raises:
-            SequenceError: after the last one, more than half of them could not be used; it says of the first why not.
+            SequenceError: after the last one, more than half of them could not be used. It quotes the first one's error.
         """
         for row in rows:
             self.num_rows += 1
@@ -228,7 +228,7 @@ class Rows:
     def use(
         self, read: Callable[Arguments, Read], *arguments: Arguments.args, **keywords: Arguments.kwargs
     ) -> Read | str:
-        """What a row says, as a function reads it; the reason to leave it out where that raises SequenceError."""
+        """A row as a function reads it; the reason to leave it out where that raises SequenceError."""
         try:
             return read(*arguments, **keywords)
         except SequenceError as error:
@@ -250,8 +250,8 @@ def require_inside(folder: Path, files: Iterable[object]) -> None:
     """Check that paths which a data set names, or links in it, lead to nowhere outside of its folder.
 
     Args:
-        folder: Where the data set lies; it may be a link itself, as someone named it.
-        files: Paths; what is no path, such as an image in an archive, is passed over.
+        folder: Where the data set lies; it may be a link itself.
+        files: Paths; anything else, such as an image in an archive, is ignored.
 
     Raises:
         SequenceError: one leads out, or is no path.

@@ -23,7 +23,7 @@ from sequences.errors import SequenceError
 MANIFEST = "manifest.json"
 FORMAT, VERSION = "vapor-track results", 1
 UNCHECKED = f"no {MANIFEST}: its files could not be checked"
-"""What to say of a folder without a manifest."""
+"""Notice for a folder without a manifest."""
 _LONGEST = 10_000_000  # bytes of a manifest
 _NAMED = 3  # files, in a message
 
@@ -42,7 +42,7 @@ class Listed:
 
     @classmethod
     def of(cls, file: Path) -> Listed:
-        """What a file is now."""
+        """Size and checksum of a file."""
         with file.open("rb") as content:
             return cls(file.stat().st_size, hashlib.file_digest(content, "sha256").hexdigest())
 
@@ -143,9 +143,9 @@ def folder_to_write(directory: Path) -> Path:
 
 
 def foreign_files(directory: Path, reads: Iterable[Path]) -> dict[str, str]:
-    """What a folder holds beside the results that its manifest lists, by name: how to tell of it.
+    """Other files of a folder than the results that its manifest lists: descriptions by name.
 
-    What a command reads is never a result.
+    Files that the command reads are never results.
     """
     if not directory.is_dir():
         return {}
@@ -166,7 +166,7 @@ def foreign_files(directory: Path, reads: Iterable[Path]) -> dict[str, str]:
     return foreign
 
 
-def names_told(names: Sequence[str]) -> str:
+def short_list(names: Sequence[str]) -> str:
     """Up to three names, and how many more there are."""
     short = [name if len(name) <= 40 else f"{name[:39]}…" for name in names[:_NAMED]]
     more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
@@ -181,7 +181,7 @@ def results_folder(
 
     Args:
         directory: Absent, empty or results; made with the folders above it. A link to a folder is followed.
-        command: What writes it.
+        command: The command that writes it.
         writes: Names of all files that it may write.
         reads: Files and folders that it reads: they are never replaced, nor what lies in them but unchanged results.
         overwrite: Take any folder, and replace files of these names, and of an earlier manifest, only.
@@ -209,7 +209,7 @@ def results_folder(
                 _replace_files(work, writes if overwrite else (), reads)
             elif not directory.exists():
                 os.rename(new, directory)
-            else:  # somebody made it meanwhile
+            else:  # it was made meanwhile
                 work = stack.enter_context(workspace(directory, directory.name))
                 os.rename(new, work / NEW)
                 _replace_files(work, writes if overwrite else (), reads)
@@ -229,7 +229,7 @@ def require_replaceable(
         foreign = foreign_files(directory, reads)
         if foreign and not overwrite:
             raise SequenceError(
-                f"{given}: {names_told([*foreign.values()])}, expected an empty folder or unchanged results;"
+                f"{given}: {short_list([*foreign.values()])}, expected an empty folder or unchanged results;"
                 " --overwrite replaces files of the results' names only"
             )
         _refuse_lost(directory, foreign, reads, writes)
@@ -283,12 +283,12 @@ def _remove_empty(folders: Iterable[Path]) -> None:
 def claim_folder(directory: Path, command: str, *, reads: Iterable[Path] = (), overwrite: bool = False) -> None:
     """Make a folder in which a command keeps what it found, goes on after interruptions, and replaces only its own.
 
-    It is told by a manifest that lists no files. What killed processes left is cleared away there and in all folders
-    within, as the call that goes on may have nothing to write to some of them.
+    Its manifest lists no files. Leftovers of killed processes are removed there and in all folders within, as the call
+    that goes on may have nothing to write to some of them.
 
     Args:
         directory: Absent, empty or such a folder; made with the folders above it.
-        command: What writes there, as one types it.
+        command: The command that writes there, as typed.
         reads: Files and folders that it reads: none may lie in the folder, nor the folder among what is in them.
         overwrite: Take any other folder.
 
@@ -312,12 +312,12 @@ def claim_folder(directory: Path, command: str, *, reads: Iterable[Path] = (), o
         names = [name for name in entries if not (is_workspace(name) or name == CACHE)]
         if names and not overwrite:
             raise SequenceError(
-                f"{given}: {names_told(names)}, expected an empty folder or one of `{command}`; --overwrite"
+                f"{given}: {short_list(names)}, expected an empty folder or one of `{command}`; --overwrite"
                 " uses it all the same"
             )
         if names and (around := [path for path in reads if directory.resolve().is_relative_to(path)]):
             raise SequenceError(
-                f"{given}: {names_told(names)} and lies in {around[0]}, which is read; expected a new folder"
+                f"{given}: {short_list(names)} and lies in {around[0]}, which is read; expected a new folder"
             )
         write_manifest(directory, command, None)
 
@@ -334,7 +334,7 @@ def refuse_other(
 
     Args:
         path: The output.
-        kind: What is written, for the message.
+        kind: Kind of the output, for the message.
         is_of_kind: Whether an existing file is such a thing.
         reads: Files and folders that the command reads; of no use where the output is new.
         overwrite: Take any file but those, and but what lies in those folders.

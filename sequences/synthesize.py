@@ -46,7 +46,7 @@ def metered_exposure(radiance: np.ndarray) -> float:
 def develop(
     radiance: Float32[np.ndarray, "height width 3"], camera: Camera, exposure: float, *, rng: np.random.Generator
 ) -> UInt8[np.ndarray, "height width 3"]:
-    """What a small camera makes of light: vignetting, shot and read noise, tone curve, eight bits.
+    """The image that a small camera makes of light: vignetting, shot and read noise, tone curve, eight bits.
 
     Args:
         radiance: Linear light.
@@ -73,7 +73,7 @@ class SyntheticSequence:
     """A rendered sequence; images are made when they are asked for.
 
     Attributes:
-        scene: What the camera moves through.
+        scene: The scene that the camera moves through.
         camera: Intrinsics.
         base_from_camera: One pose, the extrinsics.
         image_times_ns: Stamps of the images, the middle of each exposure.
@@ -99,10 +99,10 @@ class SyntheticSequence:
     rate_hz: float = IMAGE_RATE_HZ
 
     def images(self) -> Iterator[UInt8[np.ndarray, "height width 3"]]:
-        """The images in order, RGB, rendered one by one; every call begins anew and gives the same bytes.
+        """The images in order, RGB, rendered one by one; every call gives the same bytes.
 
-        While the camera stands, light is traced once and every image is exposed and developed anew: auto exposure and
-        sensor noise go on, and all that is missing is how the few scattered reflections of gloss would differ.
+        While the camera stands, light is traced once and every image is exposed and developed by itself: auto exposure
+        and sensor noise go on, and all that is missing is how the few scattered reflections of gloss would differ.
         """
         rng = np.random.default_rng(self.seed)
         # Exposure follows in the same time at every rate: these are the fractions per tenth of a second.
@@ -157,7 +157,7 @@ def synthesize(
             always the same.
         num_frames: Number of images, without those that a stand adds.
         split: "test" paths keep further from the edges of the hall than "train" paths, and show something unique
-            "early" where there is anything and `cues` does not say otherwise; "train" paths show "any". The same seed
+            "early" where there is anything and `cues` does not state otherwise; "train" paths show "any". The same seed
             gives different paths in the two. In a building, "train" paths of five seeds in a row begin evenly spread
             over a tour of all of it, and there are people on "test" paths.
         cues: What is unique in the scene is passed "early", at will ("any"), or never ("none"); see `choose_path`.

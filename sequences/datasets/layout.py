@@ -1,6 +1,6 @@
-"""What a layout of data sets is.
+"""The definition of a layout: how a data set of images with true poses lies on disk.
 
-A layout says how images with true poses lie on disk. It is a module of `sequences.datasets.layouts`, which is found by
+A layout is a module of `sequences.datasets.layouts`, which is found by
 itself, with a `Layout` of this name:
 
     LAYOUT = Layout("My Phone", looked_for="phone_poses.csv", order=110, list_images=list_images)
@@ -56,7 +56,7 @@ class PosedImages:
         assumed_hz: The rate that stamps were made up with; None where they were recorded.
         skipped: Images and poses left out, by reason.
         sequence: Index of the sequence each image is from, (n,); None where all are from one.
-        notices: What a person should know of what was left out.
+        notices: What was left out, in sentences.
         read_points: Reads which points of a reconstruction the images show; None where there is none.
     """
 
@@ -79,10 +79,9 @@ class PosedImages:
         world_from_camera: Poses,
         numbers: Sequence[Sequence[int]],
         skipped: Counter[str],
-        camera: Camera | Lens | None = None,
         notices: Sequence[str] = (),
     ) -> PosedImages:
-        """Images of sequences without time stamps, which are made up at the assumed rate.
+        """Images of sequences without time stamps, which are made up at the assumed rate, and without intrinsics yet.
 
         Args:
             layout: Name of the layout.
@@ -90,15 +89,14 @@ class PosedImages:
             world_from_camera: True poses, batch (n,).
             numbers: Increasing frame numbers of each sequence, n in all.
             skipped: Images and poses left out, by reason; zeros are dropped.
-            camera: Intrinsics of all, in pixels of the image; None where unknown.
-            notices: What a person should know of what was left out.
+            notices: What was left out, in sentences.
         """
         return cls(
             layout,
             files,
             _assumed_times_ns(numbers),
             world_from_camera,
-            [camera] * len(files),
+            [None] * len(files),
             ASSUMED_HZ,
             +skipped,
             np.repeat(np.arange(len(numbers)), [len(some) for some in numbers]),
@@ -110,6 +108,10 @@ class PosedImages:
 
     def __getitem__(self, index: slice) -> PosedImages:
         return self.select(np.arange(len(self))[index])
+
+    def with_camera(self, camera: Camera | Lens | None) -> PosedImages:
+        """The same images, all of one camera."""
+        return replace(self, cameras=[camera] * len(self))
 
     def select(self, indices: Int64[np.ndarray, " k"]) -> PosedImages:
         """Some of the images, (k,), in increasing order."""
@@ -142,14 +144,14 @@ class Layout:
     """One layout of data sets.
 
     Attributes:
-        name: What it is called, such as "TUM RGB-D".
+        name: Its name, such as "TUM RGB-D".
         looked_for: The file or files that it is recognised by, for messages.
         order: Layouts are asked from the lowest on, and listed so; no two have the same.
         list_images: Images of a data set, none of them read yet; None where a path is of another layout. Raises
             SequenceError where a file is missing or damaged.
         list_suffixes: Of files by which it lists what lies beside them, which are given in place of a folder.
         archive_suffixes: Of files that hold all, likewise.
-        splits: Names of folders and lists in a data set of which one is meant where someone gives the data set.
+        splits: Names of folders and lists in a data set, proposed where the data set itself is given.
     """
 
     name: str

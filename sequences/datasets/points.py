@@ -45,7 +45,7 @@ class PointsOfImages:
 
     Attributes:
         of: By the image.
-        notices: What a person should know of what was left out.
+        notices: What was left out, in sentences.
     """
 
     of: Mapping[ImageFile, SeenPoints] = field(default_factory=dict)
@@ -62,14 +62,14 @@ Stated = tuple[ImageFile, Camera | Lens, Float64[np.ndarray, "k 2"], Int64[np.nd
 def seen_points(
     where: str, stated: Iterable[Stated], known: Int64[np.ndarray, " p"], undistort: bool
 ) -> PointsOfImages:
-    """What images show of the points of a model, without what cannot be.
+    """Sightings of the points of a model, without impossible ones.
 
-    Left out, counted and said are sightings that are not finite, lie outside of their image or where its distortion
-    folds, or are of a point that is not known. Of a model with more than 20 million sightings none is used.
+    Sightings are left out and counted that are not finite, outside of their image or where its distortion folds, or of an
+    unknown point. A model with more than 20 million sightings gives none.
 
     Args:
         where: Begins notices.
-        stated: What the model says of each image.
+        stated: Each image in the model.
         known: Ids of the points that there are.
         undistort: Whether images are undistorted.
     """

@@ -13,7 +13,7 @@ from filtering.motion import SlowErrors
 from sequences.odometry_fit.pieces import OdometrySegment, Piece, cut_into_pieces, error_limits
 from sequences.odometry_fit.result import OdometryFit, six
 
-_TIME_S = 30.0  # of the drift, where the data cannot tell
+_TIME_S = 30.0  # of the drift, where the data do not determine it
 _SCALE = SlowErrors.scale
 _DRIFT_SPREAD, _TIME_SPREAD = np.log(5.0), np.log(3.0)  # of the priors, in logarithms
 _LEAST_CURVATURE = 0.02  # of the posterior, in the logarithm of a variance
@@ -29,7 +29,7 @@ class ScaleErrors:
         self.mean, self.error, self.std = 0.0, 1.0, _SCALE
 
     def fit(self, pieces: Sequence[Piece], model: Likelihood, parameters: np.ndarray) -> None:
-        """Estimate each by its instrument, then shrink it by what all of them and the default say of its spread."""
+        """Estimate each by its instrument, then shrink it by the spread of all of them and the default."""
         gain, crossed, weight = (dict.fromkeys(self.numbers, 0.0) for _ in range(3))
         for piece in pieces:
             for axis in range(3):
@@ -128,7 +128,7 @@ class Likelihood:
         return terms
 
     def _posterior(self, parameters: np.ndarray, terms: np.ndarray) -> tuple[float, np.ndarray]:
-        """The loss and its gradient, from the likelihood of all axes and what is assumed of the drift."""
+        """The loss and its gradient, from the likelihood of all axes and the priors of the drift."""
         _, q, b, r, _, p = terms.sum(axis=0).T
         loss, _, _, _, time, _ = terms.reshape(-1, 6).sum(axis=0)
         gradient = np.concatenate([q, b, r, [time], p])
@@ -199,7 +199,7 @@ def fit_odometry(segments: Sequence[OdometrySegment], *, max_increments: int = 1
     The error of increment i, true⁻¹ odometry, is on each axis s·vᵢ + bᵢ dtᵢ + wᵢ + mᵢ₋₁ − mᵢ: scale error s, drift b
     (an Ornstein-Uhlenbeck process), white noise w of variance q dtᵢ (+ p |vᵢ|, where that explains the errors better by
     the Bayesian information criterion), and noise m of single poses, which does not add up: without it, true poses that
-    jitter at a high rate would pass for white noise. What the data cannot tell follows weak priors: the drift errs over
+    jitter at a high rate would pass for white noise. Weak priors decide where the data do not: the drift errs over
     a second about as much as everything does, and changes over 30 s.
 
     s is fitted with the velocity averaged over a second as its instrument: the velocity itself shares the noise of the

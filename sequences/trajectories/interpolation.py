@@ -77,11 +77,11 @@ def odometry_between(
 ) -> Odometry:
     """Motion of the camera between two times that the odometry covers.
 
-    A message's twist covariance says how wrong the velocity was on the way to it: over the interval of dt seconds that
+    A message's twist covariance is the error of the velocity on the way to it: over the interval of dt seconds that
     it ends, the increment errs with covariance twist · dt². That error is taken as white noise along the interval, so a
     part of an interval has that fraction of it, and increments compose: wherever the images fall, the covariances of
     consecutive ones add up to that of the whole. For axes that were not measured all the way, and for all where the
-    others are zero, `motion_noise` speaks instead, about the motion of the base. Each part between two messages errs as
+    others are zero, `motion_noise` is used instead, for the motion of the base. Each part between two messages errs as
     one of constant twist (`filtering.motion.accumulated`); the adjoint carries its covariance to the current frame.
 
     Stamps do not run backwards: who collects the messages leaves out those that do (`PoseWindow.append`). Between a

@@ -21,14 +21,14 @@ from sequences.files import Rows, read_rows
 from sequences.values import LARGEST, is_number, parse_numbers, parse_time_ns
 
 _LEAST_FIELDS = 8  # of a row of a pose with its time or name
-_SHORTEST = 1e-6  # of a quaternion that says how a pose is turned
+_SHORTEST = 1e-6  # of a quaternion that determines a rotation
 _POSE = ("tx", "ty", "tz", "qx", "qy", "qz", "qw")
 _IGNORED = "_"
 _EXPECTED = f"name or time, {' '.join(_POSE)}, and perhaps weight, each once; {_IGNORED} for what is ignored"
 
 
 def fields_of(line: str) -> list[str]:
-    """What stands between spaces, commas or semicolons."""
+    """Fields between spaces, commas or semicolons."""
     return line.replace(",", " ").replace(";", " ").split()
 
 

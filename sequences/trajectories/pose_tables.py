@@ -27,7 +27,7 @@ _MAX_ERROR = 0.01  # of a unit quaternion's length, and of a rotation's elements
 def read_pose_table(
     path: Path, times: Path | None = None, rows: Rows | None = None, columns: str | None = None
 ) -> Trajectory:
-    """Read poses of a body over time, in whichever of three formats the first line is, or by the names of its columns.
+    """Read poses of a body over time, in one of three formats, found by the first line, or by the names of its columns.
 
     TUM: `time tx ty tz qx qy qz qw`, seconds. EuRoC: with commas, nanoseconds, position, quaternion with w first,
     further columns ignored. KITTI: the upper three rows of a matrix in one line; their times, in seconds, are lines of
@@ -68,7 +68,7 @@ def read_pose_table(
 
 
 def times_beside(poses: Path) -> Path:
-    """Where the times of KITTI's poses lie where nothing is said."""
+    """Default file of the times of KITTI's poses."""
     return poses.parent / "times.txt"
 
 

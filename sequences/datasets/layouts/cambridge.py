@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -60,8 +59,7 @@ def list_images(path: Path) -> PosedImages | None:
         poses[name] = pose
     scene = path.absolute().parent
     images = list_named(_NAME, path.parent, path.parent, poses, _in_no_list(path.parent), rows.notices)
-    camera = find_camera((scene, scene.parent), images.files)
-    return replace(images, cameras=[camera] * len(images))
+    return images.with_camera(find_camera((scene, scene.parent), images.files))
 
 
 def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:

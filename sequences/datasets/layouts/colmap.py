@@ -140,7 +140,7 @@ def _read_cameras(file: Path) -> dict[str, Camera | Lens]:
 
 
 def _way_out(model: str) -> str:
-    """What to say of a model whose images cannot be undistorted here."""
+    """The end of the error for a camera model that cannot be undistorted here."""
     if model not in NUM_PARAMETERS:
         return f"camera model {quoted(model)} is unknown, expected one of COLMAP's, such as {', '.join([*_MODELS][:5])}"
     if model == "EQUIRECTANGULAR":

@@ -41,10 +41,10 @@ _COEFFICIENTS: dict[DistortionModel, tuple[str, ...]] = {
     "plumb_bob": ("k1", "k2", "p1", "p2", "k3"),
     "equidistant": ("k1", "k2", "k3", "k4"),
 }
-# Keys by which instant-ngp is told of an image that no pinhole camera or fisheye took.
+# Keys by which instant-ngp marks images of other cameras than pinholes and fisheyes.
 _OTHER_IMAGES = ("equirectangular", "latlong", "orthographic", "ftheta_p0")
 _PANORAMAS = ("EQUIRECTANGULAR", "equirectangular", "latlong")
-_SMALLEST = 1e-6  # of what is positive
+_SMALLEST = 1e-6  # of positive numbers
 _SUFFIXES = ("", ".png", ".jpg", ".jpeg")  # that names may lack
 
 
@@ -98,7 +98,7 @@ def _scaled(pose: Poses, factor: float) -> Poses:
 
 @dataclass(frozen=True)
 class _Stated:
-    """What is stated of a camera, by the names of the file; None for what is not."""
+    """A camera as the file states it; None where it does not."""
 
     w: float | None
     h: float | None

@@ -2,7 +2,7 @@
 
 A row of `odometry.csv` is `timestamp, frame, x, y, z, qx, qy, qz, qw`: seconds since the phone was started, the number
 of the frame of the video, and the pose camera-to-world. The app turns ARKit's axes (y up, z backward) into OpenCV's
-before it writes them, as its source does and its author says, so they stand as they are here. `rgb/000000.jpg` (or
+before it writes them, as its source shows and its author states, so they are taken as they are. `rgb/000000.jpg` (or
 .png) and so on are taken for the video where there are such files. `camera_matrix.csv` is a 3 x 3 matrix in pixels of
 the video; of columns fx, fy, cx and cy of the rows, where there are any, the medians are taken for it.
 """

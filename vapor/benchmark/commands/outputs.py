@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated
 
 from filtering.errors import VaporTrackError
-from sequences.outputs import MANIFEST, claim_folder, names_told, own_manifest
+from sequences.outputs import MANIFEST, claim_folder, own_manifest, short_list
 from vapor.benchmark import PROGRAM
 from vapor.commands.console import path_given_by, path_or_url_to_write
 from vapor.parallel.jobs import Workers
@@ -32,7 +32,7 @@ def claim_shared(
         if own_manifest(directory) is None:
             if names and not overwrite:
                 expected = f"expected an empty folder or one of `{PROGRAM} {command}`"
-                raise VaporTrackError(f"{url}: {names_told(names)}, {expected}; --overwrite uses it all the same")
+                raise VaporTrackError(f"{url}: {short_list(names)}, {expected}; --overwrite uses it all the same")
             shutil.rmtree(directory, ignore_errors=True)  # of what is no longer there
     claim_folder(directory, f"{PROGRAM} {command}", reads=reads, overwrite=overwrite)
     workers.require_to_see(directory)
