@@ -214,7 +214,7 @@ class Rows:
         """The rows, one after the other.
 
         Raises:
-            SequenceError: after the last one, more than half of them could not be used. It quotes the first one's error.
+            SequenceError: after the last one, more than half of them could not be used; the first one is quoted.
         """
         for row in rows:
             self.num_rows += 1

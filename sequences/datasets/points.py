@@ -64,7 +64,7 @@ def seen_points(
 ) -> PointsOfImages:
     """Sightings of the points of a model, without impossible ones.
 
-    Sightings are left out and counted that are not finite, outside of their image or where its distortion folds, or of an
+    Sightings are left out and counted that are not finite, outside of their image, where its distortion folds, or of an
     unknown point. A model with more than 20 million sightings gives none.
 
     Args:
@@ -133,7 +133,7 @@ def read_points(file: Path) -> ScenePoints:
     Raises:
         SequenceError: it cannot be read, is cut off, or a line of it is damaged.
     """
-    table = np.array([row[1:] for row in _rows(file)], np.float64).reshape(-1, 6)
+    table = np.array([row[1:] for row in _point_rows(file)], np.float64).reshape(-1, 6)
     table = table[np.isfinite(table).all(axis=1)]
     return ScenePoints(table[:, :3], np.clip(table[:, 3:], 0, _BRIGHTEST).astype(np.uint8))
 
@@ -144,15 +144,13 @@ def point_ids(file: Path) -> Int64[np.ndarray, " n"]:
     Raises:
         SequenceError: it cannot be read, is cut off, or a line of it is damaged.
     """
-    return np.fromiter((row[0] for row in _rows(file) if all(map(isfinite, row[1:]))), np.int64)
+    return np.fromiter((row[0] for row in _point_rows(file) if all(map(isfinite, row[1:]))), np.int64)
 
 
-def _rows(file: Path) -> Iterator[tuple[int, *tuple[float, ...]]]:
-    for _, row in point_rows(file) if file.suffix == ".bin" else _text_rows(file):
-        yield row
-
-
-def _text_rows(file: Path) -> Iterator[tuple[int, tuple[int, *tuple[float, ...]]]]:
+def _point_rows(file: Path) -> Iterator[tuple[int, *tuple[float, ...]]]:
+    if file.suffix == ".bin":
+        yield from point_rows(file)
+        return
     for number, line in read_lines(file, most=None):  # the images that show each point make it large
         fields = line.split(maxsplit=8)
         if not fields or fields[0].startswith("#"):
@@ -162,4 +160,4 @@ def _text_rows(file: Path) -> Iterator[tuple[int, tuple[int, *tuple[float, ...]]
             raise SequenceError(f"{where}: {len(fields)} columns, expected `{_COLUMNS}`")
         expected = f"those of `{_COLUMNS}`"
         point_id = parse_whole(fields[0], f"{where}: POINT3D_ID", 0, LARGEST_ID)
-        yield number, (point_id, *parse_numbers(fields[1:7], where, expected))
+        yield point_id, *parse_numbers(fields[1:7], where, expected)

@@ -6,7 +6,6 @@ import os
 import zipfile
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Protocol, runtime_checkable
 
 import cv2
 
@@ -18,17 +17,6 @@ os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # read at the first video
 
 _MAX_MEMBER = 64 << 20  # bytes, unpacked
 _JPEG_QUALITY = 95  # of frames of a video, which were compressed more than that
-
-
-@runtime_checkable
-class Container(Protocol):
-    """A file of packed images; it stays open while something refers to it."""
-
-    path: Path
-
-    def read(self, key: str, /) -> bytes:
-        """Bytes of one image. Raises SequenceError where it cannot be read."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -43,7 +31,7 @@ class PackedImage:
 
     path: Path
     key: str
-    container: Container = field(compare=False)
+    container: Archive | VideoFile = field(compare=False)
 
     @property
     def name(self) -> str:

@@ -117,7 +117,8 @@ def _read_points(
 def _read_cameras(file: Path) -> dict[str, Camera | Lens]:
     """Cameras by their ids."""
     cameras: dict[str, Camera | Lens] = {}
-    for number, fields in camera_rows(file) if file.suffix == ".bin" else _text_cameras(file):
+    text_rows = ((number, line.split()) for number, line in read_rows(file))
+    for number, fields in camera_rows(file) if file.suffix == ".bin" else text_rows:
         where = f"{file}:{number}"
         if len(fields) < 4:
             raise SequenceError(f"{where}: {len(fields)} columns, expected `{_CAMERA_COLUMNS}`")
@@ -159,7 +160,8 @@ def _read_images(
     camera_ids: dict[str, str] = {}
     seen: dict[str, int] = {}
     binary = file.suffix == ".bin"
-    for number, fields in rows.each(image_rows(file) if binary else _text_rows(file)):
+    text_rows = ((number, fields) for number, fields, _ in _text_images(file))
+    for number, fields in rows.each(image_rows(file) if binary else text_rows):
         where = f"{file}:{number}"
         camera_from_world = rows.use(read_pose_row, fields, _IMAGE_COLUMNS, where)
         if isinstance(camera_from_world, str) and len(fields) != len(_IMAGE_COLUMNS.split()):
@@ -178,18 +180,6 @@ def _read_images(
         is_known = isinstance(camera_from_world, Poses)
         poses[name] = camera_from_world.inverse() if is_known else camera_from_world
     return poses, camera_ids
-
-
-def _text_cameras(file: Path) -> Iterator[tuple[int, list[str]]]:
-    """Line and fields of each camera."""
-    for number, line in read_rows(file):
-        yield number, line.split()
-
-
-def _text_rows(file: Path) -> Iterator[tuple[int, list[str]]]:
-    """Line and fields of each image."""
-    for number, fields, _ in _text_images(file):
-        yield number, fields
 
 
 def _text_keypoints(file: Path) -> Iterator[tuple[str, Float64[np.ndarray, "k 2"], Int64[np.ndarray, " k"]]]:

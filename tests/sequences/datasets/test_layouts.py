@@ -5,18 +5,23 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from filtering.se3 import Poses
 from sequences.datasets import layouts
 from sequences.datasets.frames import posed_frames
 from sequences.datasets.listing import files_read, find_layouts, is_recording, list_images
 from sequences.errors import SequenceError
+from sequences.frame import Camera, Frame
+from tests.helpers import dot_scene
 from tests.helpers.data_sets import (
     make_tum,
     same,
     write_image,
 )
 from tests.helpers.dot_checks import refuse
+from tests.helpers.dot_scene import CX, CY, FX, FY, HEIGHT, WIDTH, drawn, misses, opencv, opencv_pixels, opengl
 
 
 def test_a_folder_or_file_of_no_layout_is_told_what_was_looked_for(tmp_path: Path) -> None:
@@ -30,6 +35,8 @@ def test_a_folder_or_file_of_no_layout_is_told_what_was_looked_for(tmp_path: Pat
         *("dataset_train.txt", "images.bin"),
     ):
         assert file in str(error.value)
+    with pytest.raises(SequenceError, match="no such folder"):
+        list(posed_frames(tmp_path / "nowhere"))
 
 
 def test_stamped_data_says_that_its_stamps_are_not_assumed(tmp_path: Path) -> None:
@@ -41,19 +48,15 @@ def test_stamped_data_says_that_its_stamps_are_not_assumed(tmp_path: Path) -> No
 
 
 def test_layouts_are_asked_in_an_order_that_each_of_them_states() -> None:
-    found = find_layouts()
-    assert [layout.name for layout in found] == [
-        *("TUM RGB-D", "EuRoC MAV", "7-Scenes", "Ambiguous Relocalization", "Ceiling", "Cambridge Landmarks"),
-        *("Stray Scanner", "Record3D", "nerfstudio", "COLMAP"),
-    ]
-    assert len({layout.order for layout in found}) == len(found)
+    orders = [layout.order for layout in find_layouts()]
+    assert orders == sorted(set(orders))
+    assert len(orders) == 10
 
 
 NEW_LAYOUT = """
 import numpy as np
 from filtering.se3 import Poses
-from sequences.datasets.layout import Layout
-from sequences.datasets.layout import PosedImages
+from sequences.datasets.layout import Layout, PosedImages
 
 
 def list_images(path):
@@ -100,3 +103,12 @@ def test_layouts_are_not_imported_before_a_data_set_is_read() -> None:
 
 def test_a_folder_of_no_layout_is_told_of_these_too(tmp_path: Path) -> None:
     refuse(tmp_path, "mav0/cam0/data.csv", "odometry.csv", ".r3d", "transforms.json", "images.bin")
+
+
+def test_the_dots_tell_one_convention_from_another() -> None:
+    """The check itself can fail: other axes, another pose or the inverse put no dot where it is."""
+    image = drawn(opencv(1), opencv_pixels)[..., ::-1]
+    camera = Camera(WIDTH, HEIGHT, FX, FY, CX, CY)
+    assert misses(Frame(0, image, None, dot_scene.true_pose(1), camera)).max() < 0.3
+    for matrix in (opengl(1), opencv(2), np.linalg.inv(opencv(1))):
+        assert misses(Frame(0, image, None, Poses.from_matrix(matrix), camera)).max() > 2.0
