@@ -30,8 +30,7 @@ from sequences.paths import (
     odometry_stamps,
     poses_at,
 )
-from sequences.rendering.render import render, sees_cue
-from sequences.rendering.surface import LitScene
+from sequences.rendering.render import LitScene, render, sees_cue
 from sequences.scenes import find_scene
 from sequences.scenes.scene import SPLITS
 from sequences.writer import SequenceWriter

@@ -1,7 +1,6 @@
 """COLMAP's models as text: images, cameras, and what is wrong with them."""
 
 import struct
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -18,11 +17,9 @@ from sequences.images.decoding import decode_image_bytes
 from sequences.images.undistortion import Lens, pinhole_of, undistorted
 from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
-from tests.helpers import dot_checks
 from tests.helpers.data_sets import COLMAP_NAMES, colmap_row, make_colmap, true_pose, write_images
-from tests.helpers.dot_checks import THIRTIETHS, check_conversion, leaves_out, refuse
+from tests.helpers.dot_checks import leaves_out
 from tests.helpers.layout_checks import THIRTIETH_NS, check
-from tests.helpers.phone_data_sets import NUM, make_colmap_binary
 
 
 @pytest.mark.parametrize(
@@ -210,39 +207,3 @@ def test_what_a_colmap_model_leaves_out_is_counted(tmp_path: Path) -> None:
     check(root, [1])
     counted = {"true pose not finite": 1, "no image": 1, "image not in the list": 2}  # one in a folder of its own
     assert list_images(root).skipped == counted
-
-
-def test_a_binary_colmap_model_gives_what_it_says(tmp_path: Path) -> None:
-    root = make_colmap_binary(tmp_path / "scene")
-    dot_checks.check(root, list(range(NUM)), THIRTIETHS, within_px=0.4)
-    assert list_images(root).layout == "COLMAP"
-    (root / "sparse" / "0" / "images.txt").write_text("stale")
-    (root / "sparse" / "0" / "cameras.txt").write_text("stale")
-    check_conversion(root, tmp_path, list(range(NUM)), within_px=0.4)
-
-
-@pytest.mark.parametrize(
-    ("file", "change", "said"),
-    [
-        ("images.bin", lambda data: data[:-1], "images.bin: ends at byte"),
-        ("images.bin", lambda data: data[:30], "images.bin: ends at byte 30 within a record"),
-        ("images.bin", lambda data: data[:8] + data[8:].replace(b"\0", b"\1"), "images.bin: ends at byte"),
-        ("images.bin", lambda data: b"", "images.bin: ends at byte 0 within a record"),
-        ("images.bin", lambda data: data.replace("ü".encode(), b"\xff\xff"), "is no UTF-8 text"),
-        ("images.bin", lambda data: data.replace(b"9 b.png", b"8 b.png"), "8 b.png' is image 2 too, expected it once"),
-        (
-            "cameras.bin",
-            lambda data: data[:12] + b"\x63" + data[13:],
-            "cameras.bin:1: camera model 99 is unknown, expected 0 to 19 (BROWN_CONRADY); PINHOLE cameras are made by",
-        ),
-        ("cameras.bin", lambda data: data[:-8], "cameras.bin: ends at byte"),
-        ("cameras.bin", lambda data: data[:8] + b"\x08" + data[9:], "camera '7', expected one of those in cameras.bin"),
-    ],
-)
-def test_what_is_wrong_with_a_binary_colmap_model_is_said(
-    file: str, change: Callable[[bytes], bytes], said: str, tmp_path: Path
-) -> None:
-    root = make_colmap_binary(tmp_path / "scene")
-    path = root / "sparse" / "0" / file
-    path.write_bytes(change(path.read_bytes()))
-    refuse(root, said)

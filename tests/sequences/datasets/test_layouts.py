@@ -5,23 +5,18 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from filtering.se3 import Poses
 from sequences.datasets import layouts
 from sequences.datasets.frames import posed_frames
 from sequences.datasets.listing import files_read, find_layouts, is_recording, list_images
 from sequences.errors import SequenceError
-from sequences.frame import Camera, Frame
-from tests.helpers import dot_scene
 from tests.helpers.data_sets import (
     make_tum,
     same,
     write_image,
 )
 from tests.helpers.dot_checks import refuse
-from tests.helpers.dot_scene import CX, CY, FX, FY, HEIGHT, WIDTH, drawn, misses, opencv, opencv_pixels, opengl
 
 
 def test_a_folder_or_file_of_no_layout_is_told_what_was_looked_for(tmp_path: Path) -> None:
@@ -103,12 +98,3 @@ def test_layouts_are_not_imported_before_a_data_set_is_read() -> None:
 
 def test_a_folder_of_no_layout_is_told_of_these_too(tmp_path: Path) -> None:
     refuse(tmp_path, "mav0/cam0/data.csv", "odometry.csv", ".r3d", "transforms.json", "images.bin")
-
-
-def test_the_dots_tell_one_convention_from_another() -> None:
-    """The check itself can fail: other axes, another pose or the inverse put no dot where it is."""
-    image = drawn(opencv(1), opencv_pixels)[..., ::-1]
-    camera = Camera(WIDTH, HEIGHT, FX, FY, CX, CY)
-    assert misses(Frame(0, image, None, dot_scene.true_pose(1), camera)).max() < 0.3
-    for matrix in (opengl(1), opencv(2), np.linalg.inv(opencv(1))):
-        assert misses(Frame(0, image, None, Poses.from_matrix(matrix), camera)).max() > 2.0
