@@ -1,4 +1,4 @@
-"""Output files that appear under their name only when they are complete, and what killed processes leave of them.
+"""Output files that appear under their name only when they are complete; leftovers of killed processes are removed.
 
 Files are not synced, so a power failure may lose or damage them. Nothing is written through mapped memory: a page for
 which the disk has no room would kill the process.
@@ -30,7 +30,7 @@ def atomic_output(path: Path) -> Iterator[Path]:
     """Give a path to write to; it takes the place of `path` on success, and is removed on any error.
 
     Raises:
-        SequenceError: the folder is missing or cannot be written to, or the path is that of something else than a file.
+        SequenceError: the folder is missing or cannot be written to, or the path is not one of a file.
     """
     path = Path(path)
     if not path.parent.is_dir():
@@ -61,7 +61,7 @@ def followed(path: Path) -> Path:
 def workspace(place: Path, name: str) -> Iterator[Path]:
     """A hidden folder in `place` in which `name` is made; it is removed with all that is left in it.
 
-    It is locked for as long. So those of processes that were killed are told from those in use, and cleared away first.
+    It is locked meanwhile. So folders of killed processes differ from those in use, and are removed first.
 
     Raises:
         OSError: `place` cannot be written to.

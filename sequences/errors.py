@@ -8,4 +8,4 @@ class SequenceError(VaporTrackError):
 
 
 class NotFoundError(SequenceError):
-    """What is looked for is not in a recording; of a running system it may still come."""
+    """Something is missing in a recording; a running system may still send it."""

@@ -1,4 +1,4 @@
-"""What a sequence is made of: cameras, frames and trajectories."""
+"""The parts of a sequence: cameras, frames and trajectories."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Camera:
     Pixel centres lie at integer coordinates: the image spans [−½, width − ½] × [−½, height − ½].
 
     Raises:
-        SequenceError: numbers that are none of a camera: not finite, sizes or focal lengths that are not positive, or
+        SequenceError: impossible numbers: not finite, sizes or focal lengths that are not positive, or
             any that is too large.
     """
 

@@ -54,7 +54,7 @@ class OdometryNoise:
 
     @property
     def settings(self) -> str:
-        """Every number by its name, as files and reports say where odometry comes from."""
+        """Every number by its name, as files and reports state it."""
         return ", ".join(f"{key} {value:g}" for key, value in asdict(self).items() if value is not None)
 
 
@@ -77,7 +77,7 @@ def simulate_odometry(
         odom_from_base, batch (k,), the first the identity; and for each the covariance of its twist (v, ω) in the body
         frame, (m/s)² and (rad/s)²: that of the motion since the message before. Increments taken as independent, each
         of covariance C dt², add up over 0.1 s to a slightly cautious statement of the error, scale and biases included;
-        over much longer times biases grow faster than any independent increments can say.
+        over much longer times biases grow faster than any independent increments do.
 
     Raises:
         SequenceError: stamps do not increase, or are not as many as the poses.
@@ -110,7 +110,7 @@ def simulate_odometry(
     covariance = np.zeros((k, 6, 6))
     covariance[1:, :3, :3] = noise.scale**2 * velocity[:, :, None] * velocity[:, None, :]
     covariance[1:] += np.diag(bias_std**2)
-    # Increments dt apart that are summed as independent say too little of what is constant over 0.1 s: √(dt / 0.1 s).
+    # Increments dt apart that are summed as independent understate what is constant over 0.1 s: √(dt / 0.1 s).
     covariance[1:] *= np.maximum(STATED_OVER_S / dt, 1.0)[:, None, None]
     covariance[1:] += np.diag(white_std**2) / dt[:, None, None]
     covariance *= _CAUTION**2

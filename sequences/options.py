@@ -1,4 +1,4 @@
-"""What to read of a recorded sequence, as a person states it."""
+"""Options of reading a recorded sequence."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from filtering.errors import VaporTrackError, require_within
 from filtering.motion import MotionNoise
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
-from sequences.trajectories.columns import require_columns
+from sequences.trajectories.pose_lines import require_columns
 from sequences.trajectories.pose_tables import times_beside
 
 OdometryUse = Literal["required", "optional", "unread"]
@@ -127,7 +127,7 @@ class SequenceOptions(ReadingOptions):
             if getattr(self, name) is not None
         ]
         if len(given) > 1:
-            raise SequenceError(f"{' and '.join(given)} all say where true poses are, expected one of them")
+            raise SequenceError(f"{' and '.join(given)} all state where true poses are, expected one of them")
         about = self.time_offset_s != 0.0 or self.poses_times is not None or self.poses_columns is not None
         if self.poses is None and about:
             raise SequenceError(

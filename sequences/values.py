@@ -1,7 +1,6 @@
 """Numbers, times and names that files hold, parsed within limits.
 
-Every reader takes them from here, so that no number is one that arithmetic cannot go on with, and what is none gets an
-error that says where it is.
+Every reader uses these, so that all numbers are usable in arithmetic, and others raise an error that names the place.
 """
 
 from __future__ import annotations

@@ -50,7 +50,7 @@ class SequenceWriter(MessageWriter):
             path: File to write.
             camera: Intrinsics of the images as they are written, with the distortion of a lens.
             base_from_camera: Extrinsics, one pose.
-            metadata: What the file should say of itself; `images` and `odometry` say where these come from.
+            metadata: Of the file; `images` and `odometry` state their sources.
         """
         super().__init__(path)
         self._camera = camera
@@ -80,7 +80,7 @@ class SequenceWriter(MessageWriter):
         lens = self._camera if isinstance(self._camera, Lens) else Lens(self._camera, "plumb_bob", (0.0,) * 5)
         c, p, d = lens.camera, pinhole_of(self._camera), list(lens.coefficients)
         if lens.model == "equidistant" and not any(d):
-            d[-1] = 1e-12  # zeros would say that nothing is distorted
+            d[-1] = 1e-12  # zeros would mean no distortion
         info = {
             "header": header,
             "height": c.height,

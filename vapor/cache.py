@@ -12,7 +12,7 @@ from typing import Any
 
 from sequences.atomic import atomic_output
 from sequences.errors import SequenceError
-from sequences.files.structured import read_json
+from sequences.files import read_json
 from vapor.storage import fetched, published
 from vapor.threads import limited_threads
 

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from filtering.se3 import Poses
+from sequences.datasets.layout import PosedImages
 from sequences.datasets.layout_helpers.image_files import decoded_file, read_image_bytes
 from sequences.datasets.listing import list_images
-from sequences.datasets.posed_images import PosedImages
 from sequences.errors import SequenceError
-from sequences.files.rows import Rows
+from sequences.files import Rows
 from sequences.frame import BASE_FROM_CAMERA, Camera
 from sequences.images.headers import why_left_out
 from sequences.images.undistortion import Lens
@@ -27,13 +27,13 @@ from sequences.writer import SequenceWriter
 
 @dataclass(frozen=True)
 class ConversionSummary:
-    """What a conversion did.
+    """The outcome of a conversion.
 
     Attributes:
         num_images: Images written.
         skipped: Images left out, by reason.
-        odometry: Where the odometry comes from, as the file says it too.
-        notices: What a person should know of what was left out.
+        odometry: Source of the odometry, as stated in the file.
+        notices: What was left out, in sentences.
     """
 
     num_images: int
@@ -68,7 +68,7 @@ def convert(
     made up at 30 Hz.
 
     Args:
-        dataset: What `sequences.datasets.listing.list_images` takes.
+        dataset: As `sequences.datasets.listing.list_images` takes it.
         output: File to write.
         odometry: Recorded odometry, a TUM trajectory of the camera in any frame: only its relative motion counts.
         odometry_noise: How to simulate odometry from the true poses, instead; None for no odometry at all where there

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
+from sequences.datasets.layout import PosedImages
 from sequences.datasets.layout_helpers.image_files import decoded_file
 from sequences.datasets.listing import is_recording, list_images
-from sequences.datasets.posed_images import PosedImages
-from sequences.datasets.seen_points import SeenPoints
+from sequences.datasets.points import SeenPoints
 from sequences.errors import SequenceError
-from sequences.files.rows import Rows
+from sequences.files import Rows
 from sequences.frame import Camera, Frame
 from sequences.images.headers import why_left_out
 from sequences.images.undistortion import Lens, pinhole_of, undistorted
@@ -26,7 +26,7 @@ class PosedFrames(Iterator[Frame]):
 
     Attributes:
         skipped: Images and poses of the data that were left out, by reason; complete once all frames were yielded.
-        notices: What a person should know of the true poses, likewise.
+        notices: Remarks on the true poses, likewise.
     """
 
     def __init__(self, path: Path, frames: slice, options: SequenceOptions | None, odometry: OdometryUse) -> None:
@@ -35,10 +35,67 @@ class PosedFrames(Iterator[Frame]):
         self._path, self._slice, self._options = path, frames, options
         self._odometry: OdometryUse = odometry
         self._source: SequenceReader | PosedImages | None = None
-        self._frames = _posed_frames(path, frames, options, self._open, self.skipped, self.notices)
+        self._frames = self._read()
 
     def __next__(self) -> Frame:
         return next(self._frames)
+
+    def _read(self) -> Iterator[Frame]:
+        is_empty = True
+        for frame in self._recorded() if is_recording(self._path) else self._listed():
+            is_empty = False
+            yield frame
+        if is_empty:
+            begin, end, step = self._slice.start, self._slice.stop, self._slice.step
+            raise SequenceError(
+                f"{self._path}: no image with a true pose in frames {begin}:{end}:{step}, expected at least one"
+            )
+
+    def _recorded(self) -> Iterator[Frame]:
+        """Frames of a recording; without odometry where the frame before was left out."""
+        begin, end, step = self._slice.start, self._slice.stop, self._slice.step
+        if any(bound is not None and bound < 0 for bound in (begin, end, step)):
+            raise SequenceError(
+                f"{self._path}: frames {begin}:{end}:{step} count from the end, which a stream does not know; expected"
+                " numbers from 0 on"
+            )
+        reader = self._open()
+        assert isinstance(reader, SequenceReader)
+        posed = _posed(reader, self.skipped)
+        for number, frame in enumerate(islice(posed, begin, end, step)):
+            follows = number > 0 and step in (None, 1)
+            yield frame if follows else replace(frame, odometry=None)
+        reader.stop()
+        for _ in posed:  # none comes any more
+            pass
+        self.skipped.update(reader.skipped)
+        if reader.across_jumps:
+            self.skipped["true pose jumps"] = reader.across_jumps
+            self.skipped["no true pose"] -= reader.across_jumps
+            if not self.skipped["no true pose"]:
+                del self.skipped["no true pose"]
+        few = [reader.counts.warning] if reader.counts.warning else []
+        self.notices += [f"{self._path}: {notice}" for notice in [*reader.notices, *few]]
+
+    def _listed(self) -> Iterator[Frame]:
+        """Frames of images on disk; those that cannot be decoded are left out, unless it is most of them."""
+        source = self._open()
+        assert isinstance(source, PosedImages)
+        self.skipped.update(source.skipped)
+        images, rows = source[self._slice], Rows("images", why_left_out)
+        undistort = self._options is None or self._options.undistort
+        for i, file in rows.each(enumerate(images.files)):
+            image = rows.use(decoded_file, file)
+            if isinstance(image, str):
+                self.skipped[image] += 1
+                continue
+            try:
+                image, camera = undistorted(image, _used(images.cameras[i], undistort))
+            except SequenceError as error:
+                raise SequenceError(f"{file}: {error}") from error
+            sequence = 0 if images.sequence is None else int(images.sequence[i])
+            yield Frame(int(images.times_ns[i]), image, None, images.world_from_camera[i], camera, sequence)
+        self.notices += [*images.notices, *rows.notices]
 
     def _open(self) -> SequenceReader | PosedImages:
         if self._source is None and is_recording(self._path):
@@ -98,54 +155,6 @@ def posed_frames(
     return PosedFrames(Path(path), frames, options, odometry)
 
 
-def _posed_frames(
-    path: Path,
-    frames: slice,
-    options: SequenceOptions | None,
-    opened: Callable[[], SequenceReader | PosedImages],
-    skipped: Counter[str],
-    notices: list[str],
-) -> Iterator[Frame]:
-    number = 0
-    if is_recording(path):
-        if any(bound is not None and bound < 0 for bound in (frames.start, frames.stop, frames.step)):
-            raise SequenceError(
-                f"{path}: frames {frames.start}:{frames.stop}:{frames.step} count from the end, which"
-                " a stream does not know; expected numbers from 0 on"
-            )
-        reader = opened()
-        assert isinstance(reader, SequenceReader)
-        posed = _posed(reader, skipped)
-        for number, frame in enumerate(islice(posed, frames.start, frames.stop, frames.step), start=1):
-            follows = number > 1 and frames.step in (None, 1)
-            yield frame if follows else replace(frame, odometry=None)
-        reader.stop()
-        for _ in posed:  # none comes any more
-            pass
-        skipped.update(reader.skipped)
-        if reader.across_jumps:
-            skipped["true pose jumps"] = reader.across_jumps
-            skipped["no true pose"] -= reader.across_jumps
-            if not skipped["no true pose"]:
-                del skipped["no true pose"]
-        few = [reader.counts.warning] if reader.counts.warning else []
-        notices += [f"{path}: {notice}" for notice in [*reader.notices, *few]]
-    else:
-        images = opened()
-        assert isinstance(images, PosedImages)
-        skipped.update(images.skipped)
-        rows = Rows("images", why_left_out)
-        for frame in _load(images[frames], rows, skipped, undistort=options is None or options.undistort):
-            number += 1
-            yield frame
-        notices += [*images.notices, *rows.notices]
-    if number == 0:
-        raise SequenceError(
-            f"{path}: no image with a true pose in frames {frames.start}:{frames.stop}:{frames.step},"
-            " expected at least one"
-        )
-
-
 def _posed(frames: Iterable[Frame], skipped: Counter[str]) -> Iterator[Frame]:
     """Those with a true pose; without odometry where the frame before was left out."""
     follows = True
@@ -160,18 +169,3 @@ def _posed(frames: Iterable[Frame], skipped: Counter[str]) -> Iterator[Frame]:
 def _used(camera: Camera | Lens | None, undistort: bool) -> Camera | Lens | None:
     """The camera, without its distortion where that is to be left alone."""
     return camera.camera if isinstance(camera, Lens) and not undistort else camera
-
-
-def _load(images: PosedImages, rows: Rows, skipped: Counter[str], *, undistort: bool) -> Iterator[Frame]:
-    """Decode and undistort images; those that cannot be decoded are left out, unless it is most of them."""
-    for i, file in rows.each(enumerate(images.files)):
-        image = rows.use(decoded_file, file)
-        if isinstance(image, str):
-            skipped[image] += 1
-            continue
-        try:
-            image, camera = undistorted(image, _used(images.cameras[i], undistort))
-        except SequenceError as error:
-            raise SequenceError(f"{file}: {error}") from error
-        sequence = 0 if images.sequence is None else int(images.sequence[i])
-        yield Frame(int(images.times_ns[i]), image, None, images.world_from_camera[i], camera, sequence)

@@ -1,4 +1,4 @@
-"""What lies at a path: a recording, or a data set of which layout, with which images."""
+"""The recording or data set at a path, and its images."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ from importlib import import_module
 from pathlib import Path
 
 from sequences.datasets import layouts
-from sequences.datasets.layout import INTRINSICS_LEVELS, Layout
+from sequences.datasets.layout import INTRINSICS_LEVELS, Layout, PosedImages
 from sequences.datasets.layout_helpers.packed import PackedImage
-from sequences.datasets.posed_images import PosedImages
 from sequences.errors import SequenceError
 from sequences.recordings.recording_file import SUFFIXES
 
@@ -52,8 +51,8 @@ def is_list(path: Path) -> bool:
 def files_read(path: Path) -> Iterator[Path]:
     """Files and folders that a recording or data set is read from, for outputs: they must be none of these.
 
-    Of a data set these are its folder, or that of the list, images that lie elsewhere, and `intrinsics.json` above it.
-    Of what cannot be read, what is known of it.
+    For a data set: its folder or the folder of the list, images that lie elsewhere, and `intrinsics.json` above it.
+    Where it cannot be read: as far as known.
     """
     path = Path(path)
     yield path

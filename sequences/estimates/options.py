@@ -10,7 +10,7 @@ from sequences.errors import SequenceError
 from sequences.estimates.pose_files import Direction
 from sequences.frame import ASSUMED_HZ
 from sequences.odometry import OdometryNoise
-from sequences.trajectories.columns import require_columns
+from sequences.trajectories.pose_lines import require_columns
 
 _MAX_OFFSET_S = 1e10  # between two clocks, one of which began in 1970
 

@@ -13,9 +13,8 @@ from jaxtyping import Float64
 from filtering.errors import quoted
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
-from sequences.files.rows import Rows
-from sequences.trajectories.columns import Columns, stamp_ns, stamp_of
-from sequences.trajectories.pose_lines import fields_of, pose_rows, typical
+from sequences.files import Rows
+from sequences.trajectories.pose_lines import Columns, fields_of, pose_rows, stamp_ns, stamp_of, typical
 from sequences.trajectories.pose_tables import read_pose_table
 from sequences.values import is_number, natural, parse_frame_number, parse_number
 

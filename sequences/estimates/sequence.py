@@ -16,12 +16,11 @@ from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.estimates.options import EstimateOptions
 from sequences.estimates.pose_files import FrameName, PoseFile, frames_by, natural_order, read_poses
-from sequences.files.rows import Rows
+from sequences.files import Rows
 from sequences.frame import BASE_FROM_CAMERA, Frame, Trajectory
 from sequences.odometry import simulate_odometry
 from sequences.reading.counts import NO_ESTIMATE, ImageCounts, uncovered
-from sequences.trajectories.increments import odometry_between
-from sequences.trajectories.interpolation import MAX_ODOMETRY_GAP_S, MAX_TRUE_POSE_GAP_S, interpolate
+from sequences.trajectories.interpolation import MAX_ODOMETRY_GAP_S, MAX_TRUE_POSE_GAP_S, interpolate, odometry_between
 
 HYPOTHESIS = np.dtype([("file", np.int64), ("weight", np.float64), ("world_from_camera", np.float64, (4, 4))])
 """One hypothesis of a frame: number of the file from 0, weight above 0 in any unit, homogeneous matrix."""

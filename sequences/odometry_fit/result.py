@@ -1,4 +1,4 @@
-"""How wrong odometry was found to be."""
+"""The fitted errors of odometry."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class OdometryFit:
 
     Attributes:
         white_per_s: Variance of the white noise that comes in a second, m²/s and rad²/s.
-        white_per_m: Variance that comes in a metre on top of it, m²/m and rad²/m; zeros where the data cannot tell.
+        white_per_m: Variance that comes in a metre on top of it, m²/m and rad²/m; zeros where the data leave it open.
         drift: Standard deviation of the drift, m/s and rad/s.
         time_s: Time over which it changes.
         scale: Scale error of the recordings on average: a distance reported too long is positive.
@@ -57,7 +57,7 @@ class OdometryFit:
 
     @property
     def slow_errors(self) -> SlowErrors:
-        """What the filter takes of it beside the white noise."""
+        """The slow errors, as the filter takes them."""
         return SlowErrors(scale=self.scale_std, drift=self.drift, time_s=self.time_s)
 
     def along(

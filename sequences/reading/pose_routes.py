@@ -9,7 +9,7 @@ from pathlib import Path
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.errors import NotFoundError, SequenceError
-from sequences.files.rows import Rows
+from sequences.files import Rows
 from sequences.frame import Trajectory
 from sequences.options import SequenceOptions
 from sequences.reading.extrinsics import BASES, Extrinsics, Rig, TransformTree, along, read_tree

@@ -25,8 +25,7 @@ from sequences.recordings.messages import (
 )
 from sequences.recordings.source import TF, MessageSource, Topic, decode, first
 from sequences.trajectories.interpolation import MAX_ODOMETRY_GAP_S, pose_at
-from sequences.trajectories.jumps import Motion, is_jump
-from sequences.trajectories.pose_window import PoseWindow
+from sequences.trajectories.pose_window import Motion, PoseWindow, is_jump
 
 MAX_GAP_S = 0.25
 _MAX_STILL_GAP_S = 2.0

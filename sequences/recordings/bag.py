@@ -10,8 +10,7 @@ from typing import Any
 
 from filtering.errors import quoted
 from sequences.errors import SequenceError
-from sequences.files.paths import require_inside
-from sequences.files.structured import read_yaml
+from sequences.files import read_yaml, require_inside
 from sequences.recordings.mcap_file import McapFile
 from sequences.recordings.recording_file import (
     ROS1_MAGIC,

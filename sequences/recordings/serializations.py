@@ -11,7 +11,7 @@ import zstandard
 from mcap.records import Schema
 
 from sequences.errors import SequenceError
-from sequences.files.structured import parse_json
+from sequences.files import parse_json
 from sequences.recordings import foxglove, message_definitions
 from sequences.recordings.message_definitions import DEFINITIONS, schema_name, schema_text
 

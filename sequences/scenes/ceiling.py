@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from filtering.se3 import Poses
-from sequences.paths.motion import STEP_S, rotations, wander
+from sequences.paths import STEP_S, rotations, wander
 from sequences.rendering import texture
 from sequences.rendering.mesh import Part, Placement
 from sequences.rendering.texture import Canvas, Material, band, blend, inside, plain, weathered

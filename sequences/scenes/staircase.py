@@ -7,7 +7,7 @@ from jaxtyping import Float64
 from scipy.ndimage import gaussian_filter1d
 
 from filtering.se3 import Poses
-from sequences.paths.motion import STEP_S, eased, eased_angle, rotations, wander
+from sequences.paths import STEP_S, eased, eased_angle, rotations, wander
 from sequences.rendering import texture
 from sequences.rendering.mesh import Part, Placement
 from sequences.rendering.texture import Canvas, Material, band, blend, inside, plain, weathered

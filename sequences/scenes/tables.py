@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from filtering.se3 import Poses
-from sequences.paths.motion import STEP_S, eased, rotations, wander
+from sequences.paths import STEP_S, eased, rotations, wander
 from sequences.rendering import texture
 from sequences.rendering.mesh import Part, Placement
 from sequences.rendering.texture import Canvas, Material, band, blend, inside, plain, weathered

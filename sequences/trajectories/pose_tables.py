@@ -12,11 +12,9 @@ from jaxtyping import Float64
 from filtering.errors import quoted
 from filtering.se3 import Poses, nearest_rotation
 from sequences.errors import SequenceError
-from sequences.files.rows import Rows
-from sequences.files.text import read_rows
+from sequences.files import Rows, read_rows
 from sequences.frame import Trajectory
-from sequences.trajectories.columns import Columns, stamp_ns
-from sequences.trajectories.pose_lines import fields_of, pose_rows, read_increasing, typical
+from sequences.trajectories.pose_lines import Columns, fields_of, pose_rows, read_increasing, stamp_ns, typical
 from sequences.trajectories.tum import read_tum
 from sequences.values import LARGEST, MAX_TIME_NS, parse_numbers, parse_time_ns, parse_whole
 
@@ -29,7 +27,7 @@ _MAX_ERROR = 0.01  # of a unit quaternion's length, and of a rotation's elements
 def read_pose_table(
     path: Path, times: Path | None = None, rows: Rows | None = None, columns: str | None = None
 ) -> Trajectory:
-    """Read poses of a body over time, in whichever of three formats the first line is, or by the names of its columns.
+    """Read poses of a body over time, in one of three formats, found by the first line, or by the names of its columns.
 
     TUM: `time tx ty tz qx qy qz qw`, seconds. EuRoC: with commas, nanoseconds, position, quaternion with w first,
     further columns ignored. KITTI: the upper three rows of a matrix in one line; their times, in seconds, are lines of
@@ -70,7 +68,7 @@ def read_pose_table(
 
 
 def times_beside(poses: Path) -> Path:
-    """Where the times of KITTI's poses lie where nothing is said."""
+    """Default file of the times of KITTI's poses."""
     return poses.parent / "times.txt"
 
 

@@ -1,18 +1,62 @@
-"""The end of a stream of time-stamped poses, asked for one time after the other."""
+"""The end of a stream of time-stamped poses, queried in order of time, and its jumps."""
 
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from statistics import median
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
 
 from filtering.motion import MotionNoise, Odometry
 from filtering.se3 import Poses
-from sequences.trajectories.increments import odometry_between
-from sequences.trajectories.interpolation import pose_at
-from sequences.trajectories.jumps import JUMP_CONTEXT, Motion, is_jump
+from sequences.trajectories.interpolation import odometry_between, pose_at
+
+JUMP_CONTEXT = 2  # steps before and after that decide whether one is a jump
+_LEAST_JUMP_M, _LEAST_JUMP_RAD = 0.1, 0.1
+_JUMP_RATIO = 5.0  # how many times as fast as the steps around it
+_LONGEST_JUMP_S = 0.5  # in longer steps bodies set off, turn and stop
+
+
+class Motion(NamedTuple):
+    """How far one pose is from the one before: metres, radians, seconds."""
+
+    metres: float
+    radians: float
+    seconds: float
+
+    @property
+    def is_large(self) -> bool:
+        """Whether it is far enough for a jump."""
+        return self.metres > _LEAST_JUMP_M or self.radians > _LEAST_JUMP_RAD
+
+
+def is_jump(steps: Sequence[Motion], index: int) -> bool:
+    """Whether a step is no motion: far, and many times as fast as those before and after it.
+
+    Motion is about as fast in the next step; a corrected map, or a false measurement, is fast once or twice only.
+
+    Args:
+        steps: Consecutive steps, the first of which leads from nowhere.
+        index: Which of them, at least 1.
+    """
+    step = steps[index]
+    if not step.is_large or step.seconds > _LONGEST_JUMP_S:
+        return False
+    near = [
+        steps[i] for i in range(index - JUMP_CONTEXT, index + JUMP_CONTEXT + 1) if i != index and 0 < i < len(steps)
+    ]
+    if not near:
+        return False
+    usual_m = median(s.metres / s.seconds for s in near)
+    usual_rad = median(s.radians / s.seconds for s in near)
+    return (step.metres > _LEAST_JUMP_M and step.metres > _JUMP_RATIO * usual_m * step.seconds) or (
+        step.radians > _LEAST_JUMP_RAD and step.radians > _JUMP_RATIO * usual_rad * step.seconds
+    )
+
 
 _STEPS_BEFORE = 4
 _UNKNOWN = np.zeros((6, 6))
@@ -21,14 +65,14 @@ _UNKNOWN.setflags(write=False)
 
 @dataclass
 class PoseWindow:
-    """The end of a stream of time-stamped poses: what is no longer asked for is forgotten.
+    """The end of a stream of time-stamped poses: poses that are no longer needed are forgotten.
 
-    Poses may come in another order than that of their stamps, as long as nothing later was asked for.
+    Poses may come out of order, as long as no later time was asked for.
 
     Attributes:
         max_gap_s: Neighbours further apart than this do not cover what lies between them.
         still_gap_s: The same of neighbours that hardly differ, where it is longer: see `pose_at`.
-        watch_jumps: Whether to find jumps (`is_jump`), so that `jumps_at` can say where they are.
+        watch_jumps: Whether to find jumps (`is_jump`), for `jumps_at`.
         num_jumps: How many were found so far.
         first_jump_ns: When the first of them was over.
         begin_ns: Earliest stamp of all poses that ever came; None before.
@@ -78,7 +122,7 @@ class PoseWindow:
             self._count_jump(index)
 
     def reaches(self, time_ns: int) -> bool:
-        """Whether a pose at or after this time has come, and, where that may be behind a jump, what tells it."""
+        """Whether a pose at or after this time has come, and the steps that decide whether it is behind a jump."""
         if not self._times_ns or self._times_ns[-1] < time_ns:
             return False
         after = bisect_left(self._times_ns, time_ns)
@@ -86,9 +130,9 @@ class PoseWindow:
         return not undecided or after + JUMP_CONTEXT < len(self._times_ns)
 
     def forget_before(self, time_ns: int) -> None:
-        """Drop what lies before the last pose that is at or before this time, but for what tells jumps.
+        """Drop what lies before the last pose that is at or before this time, but for the steps that decide on jumps.
 
-        What comes later and lies before the pose after this time would change what was said about it: it is not taken.
+        A pose that comes later and lies before the pose after this time would change earlier answers: it is not taken.
         """
         after = bisect_left(self._times_ns, time_ns)
         settled_ns = self._times_ns[after] if after < len(self._times_ns) else time_ns
@@ -120,17 +164,17 @@ class PoseWindow:
     def leads(self, start_ns: int, end_ns: int) -> bool:
         """Whether the motion between two covered times is known: no neighbours are too far apart, and none jump.
 
-        A jump is told by the steps before it alone, so that nothing need be waited for: far, and many times as fast.
+        A jump is found by the steps before it alone, so that nothing need be waited for: far, and many times as fast.
         """
         first, end = bisect_right(self._times_ns, start_ns) - 1, bisect_left(self._times_ns, end_ns) + 1
         if first < 0:  # forgotten
             return False
-        told = slice(max(first - _STEPS_BEFORE, 0), end)
-        seconds = np.diff(self._times_ns[told]) * 1e-9
-        begin = first - told.start
+        near = slice(max(first - _STEPS_BEFORE, 0), end)
+        seconds = np.diff(self._times_ns[near]) * 1e-9
+        begin = first - near.start
         if (seconds[begin:] > self.max_gap_s).any():
             return False
-        poses = Poses.stack(self._poses[told])
+        poses = Poses.stack(self._poses[near])
         metres, radians = poses[:-1].distance(poses[1:])
         steps = [Motion(*each) for each in zip(metres.tolist(), radians.tolist(), seconds.tolist(), strict=True)]
         return not any(
@@ -155,11 +199,11 @@ class PoseWindow:
         self, start_ns: int, end_ns: int, *, base_from_camera: Poses, motion_noise: MotionNoise
     ) -> Odometry:
         """`odometry_between` two covered times, the first of which was not yet forgotten."""
-        told = slice(bisect_right(self._times_ns, start_ns) - 1, bisect_left(self._times_ns, end_ns) + 1)
+        near = slice(bisect_right(self._times_ns, start_ns) - 1, bisect_left(self._times_ns, end_ns) + 1)
         return odometry_between(
-            np.array(self._times_ns[told], np.int64),
-            Poses.stack(self._poses[told]),
-            np.concatenate(self._covariances[told]).reshape(-1, 6, 6),
+            np.array(self._times_ns[near], np.int64),
+            Poses.stack(self._poses[near]),
+            np.concatenate(self._covariances[near]).reshape(-1, 6, 6),
             start_ns,
             end_ns,
             base_from_camera=base_from_camera,

@@ -37,7 +37,7 @@ def find_time_offset(odometry: Trajectory, poses: Trajectory, *, within_s: float
     Args:
         odometry: One recording of the motion.
         poses: The other.
-        within_s: Only offsets up to this are possible, either way: a motion that repeats itself tells them, too.
+        within_s: Only offsets up to this are possible, either way: a motion that repeats itself has others, too.
 
     Raises:
         SequenceError: too short, too little or too regular a rotation, or rotations that do not agree.
@@ -48,9 +48,8 @@ def find_time_offset(odometry: Trajectory, poses: Trajectory, *, within_s: float
 def _find(odometry: Trajectory, poses: Trajectory, within_s: float, certain_s: float) -> tuple[float, float]:
     """The offset and its standard deviation, seconds.
 
-    Turn rates, over 0.4 s, are correlated at every offset with ten seconds
-    and half of the shorter recording in common; a parabola through the largest correlation and its neighbours tells
-    more than the grid of 20 ms.
+    Turn rates over 0.4 s are correlated at every offset with ten seconds and half of the shorter recording in common. A
+    parabola through the largest correlation and its neighbours refines the grid of 20 ms.
     """
     rates, covered = _turn_rate(odometry, "odometry")
     its_rates, its_covered = _turn_rate(poses, "poses")
@@ -59,10 +58,10 @@ def _find(odometry: Trajectory, poses: Trajectory, within_s: float, certain_s: f
         spread = float(np.std(rate[known])) if known.any() else 0.0
         if spread < _LEAST_TURN_RAD_PER_S:
             raise SequenceError(
-                f"rotation says too little about the time offset: that of the {what} varies by {spread:.2g} rad/s,"
+                f"rotation determines no time offset: that of the {what} varies by {spread:.2g} rad/s,"
                 f" expected at least {_LEAST_TURN_RAD_PER_S:g}; give --time-offset-s a number"
             )
-    # What turns much faster than the slower of the two is an outlier, as of an estimate of another place.
+    # Turning much faster than the slower of the two is an outlier, as of an estimate of another place.
     fastest = _FASTEST * min(float(np.quantile(rate[known], 0.95)) for rate, known in both)
     covered, its_covered = (known & (rate < fastest) for rate, known in both)
     correlation, seconds = _correlation(rates, covered, its_rates, its_covered)
@@ -80,7 +79,7 @@ def _find(odometry: Trajectory, poses: Trajectory, within_s: float, certain_s: f
     deviation_s = _STEP_S * np.sqrt(max(1 - peak**2, 0.0) / (independent * bend))
     if peak < _LEAST_CORRELATION or rival > _RIVAL_FRACTION * peak or deviation_s > certain_s:
         raise SequenceError(
-            f"rotation says too little about the time offset: that of odometry and poses correlates by {peak:.2f} at"
+            f"rotation determines no time offset: that of odometry and poses correlates by {peak:.2f} at"
             f" best, to {1e3 * deviation_s:.1f} ms, and by {rival:.2f} at another offset, expected at least"
             f" {_LEAST_CORRELATION:g}, {1e3 * certain_s:g} ms and a clear best; give --time-offset-s a number"
         )
@@ -88,34 +87,34 @@ def _find(odometry: Trajectory, poses: Trajectory, within_s: float, certain_s: f
 
 
 def offset_of_clocks(
-    asked: float | Literal["auto"], odometry: Trajectory, poses: Trajectory, said: str
+    asked: float | Literal["auto"], odometry: Trajectory, poses: Trajectory, name: str
 ) -> tuple[float, list[str]]:
-    """Seconds to add to the stamps of poses as a person asked for them, and what they should know of it.
+    """Seconds to add to the stamps of poses as requested, and notices.
 
     Args:
         asked: A number, or auto, which finds it by rotation.
         odometry: The recording by whose clock the poses are wanted.
         poses: The poses, by their own clock.
-        said: What people call the poses.
+        name: Name of the poses, in messages.
 
     Raises:
-        SequenceError: it is to be found, but rotations do not tell it.
+        SequenceError: it is to be found, but rotations do not determine it.
     """
     if asked == "auto":
         try:
             found_s, deviation_s = _find(odometry, poses, np.inf, _AUTO_CERTAIN_S)
         except VaporTrackError as error:
-            raise SequenceError(f"{said}: {error}") from error
-        return found_s, [f"{said}: time offset {found_s:.4f} s found by rotation (± {1e3 * deviation_s:.1f} ms)"]
+            raise SequenceError(f"{name}: {error}") from error
+        return found_s, [f"{name}: time offset {found_s:.4f} s found by rotation (± {1e3 * deviation_s:.1f} ms)"]
     shifted = Trajectory(poses.times_ns + round(asked * 1e9), poses.poses)
     try:
         left_s, deviation_s = _find(odometry, shifted, _WARN_WITHIN_S, _WARN_CERTAIN_S)
     except VaporTrackError:
-        return asked, []  # rotations tell nothing either way
+        return asked, []  # rotations determine nothing either way
     if abs(left_s) < max(_WARN_FROM_S, _WARN_DEVIATIONS * deviation_s):
         return asked, []
     return asked, [
-        f"{said}: rotations say that its clock differs: {asked + left_s:.2f} s are to be added to its stamps, not"
+        f"{name}: by its rotation the clock differs: {asked + left_s:.2f} s are to be added to its stamps, not"
         f" {asked:g} s (--time-offset-s)"
     ]
 

@@ -10,8 +10,7 @@ from filtering.moments import require_sound
 from filtering.se3 import Poses
 from sequences.atomic import atomic_output
 from sequences.errors import SequenceError
-from sequences.files.rows import Rows
-from sequences.files.text import read_rows
+from sequences.files import Rows, read_rows
 from sequences.frame import Trajectory
 from sequences.trajectories.pose_lines import read_increasing, usable_pose
 from sequences.values import parse_numbers, parse_time_ns

@@ -18,8 +18,8 @@ from scipy.spatial.transform import Rotation
 from filtering.se3 import Poses
 from sequences.datasets.convert import convert
 from sequences.datasets.frames import posed_frames
+from sequences.datasets.layout import PosedImages
 from sequences.datasets.listing import list_images
-from sequences.datasets.posed_images import PosedImages
 from sequences.errors import SequenceError
 from sequences.frame import Frame
 

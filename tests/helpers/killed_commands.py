@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from sequences.atomic import clear_leftovers, is_workspace
-from sequences.outputs.manifest import MANIFEST, read_manifest
+from sequences.outputs import MANIFEST, read_manifest
 from tests.helpers.command_line import main
 from tests.helpers.exported import take_apart
 from tests.helpers.pages import ReadPage

@@ -7,8 +7,7 @@ import pytest
 
 from sequences.atomic import atomic_output
 from sequences.errors import SequenceError
-from sequences.outputs.manifest import MANIFEST, verify
-from sequences.outputs.results import results_folder
+from sequences.outputs import MANIFEST, results_folder, verify
 
 WRITES = ("a.tum", "b.json", "sometimes.png")
 

@@ -77,7 +77,6 @@ def test_errors_over_a_tenth_of_a_second_are_slightly_smaller_than_stated():
     assert (ratio > 0.4).all(), ratio
 
 
-@pytest.mark.usefixtures("unchecked")
 def test_stated_covariance_is_honest_where_drift_dominates_white_noise():
     drifting = OdometryNoise(0.05, 0.05, 0.02, 30.0, 1e-4, 1e-4)
     errors, stated = errors_over(5, 400, drifting)
@@ -104,13 +103,10 @@ def test_the_same_seed_drifts_the_same_way_and_another_one_another_way():
     assert np.abs(runs[0].translation - runs[2].translation).max() > 0.01
 
 
-def test_stamps_that_do_not_increase_are_refused():
+def test_stamps_that_do_not_increase_or_are_not_as_many_as_the_poses_are_refused():
     times_ns = TIMES_NS.copy()
     times_ns[7] = times_ns[6]
     with pytest.raises(SequenceError, match=r"120000000 ns follows 120000000 ns, expected to increase"):
         simulate_odometry(times_ns, walk(), SILENT, rng=np.random.default_rng(0))
-
-
-def test_stamps_and_poses_of_different_number_are_refused():
     with pytest.raises(SequenceError, match=r"1500 stamps for 1501 poses"):
         simulate_odometry(TIMES_NS[:-1], walk(), SILENT, rng=np.random.default_rng(0))

@@ -11,12 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from filtering.errors import MAX_MESSAGE, VaporTrackError, quoted
-from sequences.datasets.layout_helpers.intrinsics import find_camera
+from sequences import files
+from sequences.datasets.layout_helpers.image_files import find_camera
 from sequences.errors import SequenceError
 from sequences.estimates.pose_files import read_poses
-from sequences.files import structured
-from sequences.files.structured import parse_json, read_arrays
-from sequences.files.text import read_lines
+from sequences.files import parse_json, read_arrays, read_lines
 from sequences.frame import Camera
 from sequences.recordings.serializations import decoder
 from sequences.trajectories.pose_tables import read_pose_table
@@ -220,7 +219,7 @@ def test_arrays_of_objects_and_damaged_ones_are_refused(monkeypatch, tmp_path: P
     np.savez(tmp_path / "objects.npz", a=np.array([{}], object))
     refused(lambda: read_arrays(tmp_path / "objects.npz"), "objects.npz: cannot be read", "allow_pickle")
     np.savez_compressed(tmp_path / "zeros.npz", a=np.zeros(100_000))
-    monkeypatch.setattr(structured, "_MAX_ARRAYS", 100_000)
+    monkeypatch.setattr(files, "_MAX_ARRAYS", 100_000)
     refused(lambda: read_arrays(tmp_path / "zeros.npz"), "zeros.npz: arrays of 800,")
     (tmp_path / "cut.npz").write_bytes((tmp_path / "zeros.npz").read_bytes()[:-30])
     refused(lambda: read_arrays(tmp_path / "cut.npz"), "cut.npz: cannot be read")

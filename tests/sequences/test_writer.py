@@ -97,13 +97,6 @@ def test_messages_are_as_ros_has_them(tmp_path: Path) -> None:
     assert {channel.message_encoding for channel in summary.channels.values()} == {"cdr"}
 
 
-def test_encoded_images_pass_through_untouched(tmp_path: Path) -> None:
-    with sequence_writer(tmp_path / "out.mcap") as writer:
-        writer.write_encoded_image(BEGIN_NS, b"any bytes", "png")
-    (image,) = decoded(tmp_path / "out.mcap", "/camera/image/compressed")
-    assert (image.data, image.format) == (b"any bytes", "png")
-
-
 @pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError])
 def test_an_interrupted_writer_leaves_nothing_and_harms_nothing(error: type[BaseException], tmp_path: Path) -> None:
     path = tmp_path / "out.mcap"
@@ -119,12 +112,6 @@ def test_an_interrupted_writer_leaves_nothing_and_harms_nothing(error: type[Base
         interrupted()
     assert [p.name for p in tmp_path.iterdir()] == ["out.mcap"]
     assert path.read_text() == "before"
-
-
-def test_a_missing_folder_is_named(tmp_path: Path) -> None:
-    writer = sequence_writer(tmp_path / "nowhere" / "out.mcap")
-    with pytest.raises(SequenceError, match=r"out\.mcap: cannot write, expected the folder .*nowhere"), writer:
-        pass
 
 
 def test_a_failing_disk_is_one_error_that_names_the_file(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, TypeVar, cast, get_args, get_origin, get_type_hints
 
 from filtering.errors import VaporTrackError, quoted
-from sequences.files.structured import parse_json
+from sequences.files import parse_json
 from sequences.frame import Camera
 from sequences.odometry_fit.result import OdometryFit
 from vapor.tensor_files import CheckpointError

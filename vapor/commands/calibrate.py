@@ -12,7 +12,7 @@ from rich.table import Table
 
 from filtering.error_model import Six
 from sequences.options import SequenceOptions
-from sequences.outputs.claims import refuse_other
+from sequences.outputs import refuse_other
 from vapor.calibration.calibrate import CalibrationResult
 from vapor.calibration.calibrate_model import calibrate_model
 from vapor.calibration.places import REGIONS

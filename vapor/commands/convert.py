@@ -14,7 +14,7 @@ import tyro
 from sequences.datasets.convert import convert
 from sequences.datasets.listing import files_read
 from sequences.odometry import OdometryNoise
-from sequences.outputs.claims import refuse_other
+from sequences.outputs import refuse_other
 from sequences.writer import is_own_sequence
 from vapor.commands.console import OutputPath, Overwrite, parse, show, show_notices, show_skipped, usage_error
 from vapor.commands.progress import progress

@@ -11,7 +11,7 @@ import tyro
 from tyro.extras import literal_type_from_choices
 
 from sequences.errors import SequenceError
-from sequences.outputs.results import results_folder
+from sequences.outputs import results_folder
 from sequences.scenes import SCENES
 from sequences.synthesize import synthesize, write_synthetic
 from vapor.checkpoints.file_format import SHIPPED

@@ -11,10 +11,9 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from filtering.errors import VaporTrackError
-from sequences.files.rows import Rows
-from sequences.outputs.claims import refuse_other
-from sequences.outputs.manifest import MANIFEST, UNCHECKED, verify
-from sequences.trajectories.columns import require_columns
+from sequences.files import Rows
+from sequences.outputs import MANIFEST, UNCHECKED, refuse_other, verify
+from sequences.trajectories.pose_lines import require_columns
 from sequences.trajectories.pose_tables import read_pose_table
 from sequences.trajectories.tum import read_tum
 from vapor.commands.console import OutputPath, Overwrite, command_line, parse, show, show_notices

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from sequences.outputs.claims import refuse_other
+from sequences.outputs import refuse_other
 from vapor.checkpoints.file_format import ONNX, find_model, is_onnx, load_checkpoint
 from vapor.commands.console import OutputPath, Overwrite, parse, show, usage_error
 from vapor.engines.onnx_export import export_onnx

@@ -13,10 +13,10 @@ from typing import Annotated
 import tyro
 
 from filtering.errors import VaporTrackError, shortened
-from sequences.datasets.scene_points import scene_points
+from sequences.datasets.points import scene_points
 from sequences.frame import Frame
 from sequences.options import SequenceOptions
-from sequences.outputs.results import results_folder
+from sequences.outputs import results_folder
 from vapor.checkpoints.file_format import find_model
 from vapor.commands.console import OutputPath, Overwrite, command_line, parse, show, usage_error
 from vapor.commands.inspect_tables import parts, show_inspection

@@ -14,7 +14,7 @@ from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.datasets.frames import posed_frames
 from sequences.datasets.listing import files_read
-from sequences.outputs.claims import refuse_other
+from sequences.outputs import refuse_other
 from vapor.checkpoints.file_format import find_model
 from vapor.commands.console import OutputPath, Overwrite, parse, show, show_notices
 from vapor.engines.engine import Device, EngineConfig

@@ -9,8 +9,8 @@ from typing import Annotated, Literal
 import tyro
 
 from sequences.errors import SequenceError
-from sequences.outputs.claims import refuse_other
-from sequences.paths.choose import Cues
+from sequences.outputs import refuse_other
+from sequences.paths import Cues
 from sequences.scenes import scene_names
 from sequences.synthesize import synthesize, write_synthetic
 from sequences.writer import is_own_sequence

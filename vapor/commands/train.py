@@ -14,7 +14,7 @@ import tyro
 from rich.table import Table
 
 from sequences.options import SequenceOptions
-from sequences.outputs.claims import refuse_other
+from sequences.outputs import refuse_other
 from vapor.checkpoints.file_format import is_model
 from vapor.commands.calibrate import show_calibration
 from vapor.commands.console import OutputPath, Overwrite, parse, show, show_notices, show_skipped, usage_error

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from filtering.se3 import Poses
-from sequences.datasets.scene_points import ScenePoints
+from sequences.datasets.points import ScenePoints
 from vapor.inspection.coverage import Coverage
 from vapor.inspection.predictions import Predictions
 from vapor.reporting.rerun_layout import log_legend, space_view, with_legend

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 from scipy.linalg import eigh
 
 from filtering.se3 import Poses
-from sequences.datasets.seen_points import SeenPoints
+from sequences.datasets.points import SeenPoints
 from sequences.frame import Camera
 from vapor.landmarks.adjustment import Adjusted, adjusted
 from vapor.landmarks.features import Basis, Features, extract, mutual_matches, stored, unit_vectors

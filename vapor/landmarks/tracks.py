@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from filtering.se3 import Poses
-from sequences.datasets.seen_points import POINTS_OF_A_MODEL, SeenPoints
+from sequences.datasets.points import POINTS_OF_A_MODEL, SeenPoints
 from vapor.landmarks.features import Features, mutual_matches
 from vapor.landmarks.landmark_map import ViewCamera
 from vapor.landmarks.points import Sightings

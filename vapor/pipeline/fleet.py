@@ -16,9 +16,7 @@ import numpy as np
 from filtering.errors import VaporTrackError
 from sequences.atomic import atomic_output
 from sequences.options import SequenceOptions
-from sequences.outputs.claims import refuse_other
-from sequences.outputs.folders import folder_to_write
-from sequences.outputs.results import require_replaceable
+from sequences.outputs import folder_to_write, refuse_other, require_replaceable
 from sequences.recordings.recording_file import SUFFIXES
 from vapor.parallel.jobs import Workers, in_parallel
 from vapor.pipeline.config import RunConfig

@@ -16,7 +16,7 @@ from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from sequences.estimates.options import EstimateOptions
 from sequences.estimates.sequence import EstimateSequence
-from sequences.outputs.results import results_folder
+from sequences.outputs import results_folder
 from vapor.pipeline.config import FilteringConfig
 from vapor.pipeline.localize import localize
 from vapor.pipeline.results import RESULTS, RunResult, write_results

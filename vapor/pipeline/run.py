@@ -13,7 +13,7 @@ from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from sequences.frame import Camera, Frame
 from sequences.options import SequenceOptions
-from sequences.outputs.results import results_folder
+from sequences.outputs import results_folder
 from sequences.reader import SequenceReader
 from vapor.landmarks.localize import VerifiedPose
 from vapor.landmarks.verify import ShownLandmarks

@@ -13,7 +13,7 @@ from jaxtyping import Bool
 
 from sequences.atomic import atomic_output
 from sequences.errors import SequenceError
-from sequences.files.structured import read_json
+from sequences.files import read_json
 from sequences.trajectories.tum import format_time
 from vapor.evaluation.consistency import evaluate_consistency
 from vapor.evaluation.floors import evaluate_floors

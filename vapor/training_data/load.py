@@ -14,7 +14,7 @@ from jaxtyping import UInt8
 from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.datasets.frames import PosedFrames
-from sequences.datasets.seen_points import POINTS_OF_A_MODEL, SeenPoints
+from sequences.datasets.points import POINTS_OF_A_MODEL, SeenPoints
 from sequences.frame import Camera, Frame
 from vapor.cameras import AsTakenBy, described
 from vapor.images import centre_crop, scale_to_cover

@@ -12,7 +12,7 @@ from jaxtyping import Int64, UInt8
 from filtering.errors import VaporTrackError
 from filtering.motion import Odometry
 from filtering.se3 import Poses
-from sequences.datasets.seen_points import SeenPoints
+from sequences.datasets.points import SeenPoints
 from sequences.frame import Camera
 
 

@@ -1,1 +1,1 @@
-"""What layouts of data sets have in common: image files, rows of poses, intrinsics, archives and videos."""
+"""Parts that several layouts of data sets share: image files, rows of poses, intrinsics, archives and videos."""

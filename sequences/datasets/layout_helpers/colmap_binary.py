@@ -98,17 +98,17 @@ def keypoint_rows(file: Path) -> Iterator[tuple[str, Float64[np.ndarray, "k 2"],
             yield name, keypoints["pixel"].astype(np.float64), keypoints["point"].astype(np.int64)
 
 
-def point_rows(file: Path) -> Iterator[tuple[int, tuple[int, *tuple[float, ...]]]]:
-    """Number and `POINT3D_ID X Y Z R G B` of each point; the images that show it are passed over.
+def point_rows(file: Path) -> Iterator[tuple[int, *tuple[float, ...]]]:
+    """`POINT3D_ID X Y Z R G B` of each point; the images that show it are passed over.
 
     Raises:
         SequenceError: the file cannot be read or is cut off.
     """
     with _Records(file) as records:
-        for number in range(1, records.take("Q")[0] + 1):
+        for _ in range(records.take("Q")[0]):
             point_id, *point, _, num_images = records.take("q3d3BdQ")
             records.skip(_TRACK_BYTES * num_images)
-            yield number, (point_id, *point)
+            yield point_id, *point
 
 
 class _Records:

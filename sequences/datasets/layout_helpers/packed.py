@@ -6,7 +6,6 @@ import os
 import zipfile
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Protocol, runtime_checkable
 
 import cv2
 
@@ -14,21 +13,10 @@ from filtering.errors import quoted
 from sequences.errors import SequenceError
 from sequences.images.headers import require_pixels
 
-os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # heeded at the first video: what is wrong is said here
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # read at the first video; errors are reported here
 
 _MAX_MEMBER = 64 << 20  # bytes, unpacked
 _JPEG_QUALITY = 95  # of frames of a video, which were compressed more than that
-
-
-@runtime_checkable
-class Container(Protocol):
-    """What images are packed into; it stays open while something refers to it."""
-
-    path: Path
-
-    def read(self, key: str, /) -> bytes:
-        """Bytes of one image. Raises SequenceError where it cannot be read."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -38,12 +26,12 @@ class PackedImage:
     Attributes:
         path: Of the container.
         key: Which image of it: name of a member, number of a frame.
-        container: What reads it.
+        container: Its reader.
     """
 
     path: Path
     key: str
-    container: Container = field(compare=False)
+    container: Archive | VideoFile = field(compare=False)
 
     @property
     def name(self) -> str:
@@ -98,7 +86,7 @@ class VideoFile:
 
     Attributes:
         path: Where it lies.
-        num_frames: How many it says it has; None where it does not say.
+        num_frames: As the file states it; None where it does not.
         width: Of its frames, pixels.
         height: Of its frames, pixels.
     """

@@ -1,4 +1,4 @@
-"""How data sets of images with true poses lie on disk, a module a layout and nothing else.
+"""Layouts of data sets of images with true poses: one module for each, and nothing else.
 
-A new layout is one new file here: `sequences.datasets.layout` says what it has to have.
+A new layout is one new file here: `sequences.datasets.layout` states its requirements.
 """

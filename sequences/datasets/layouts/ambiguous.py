@@ -5,8 +5,8 @@ Multimodal Inference", ECCV 2020. A scene holds `train/` and `test/`, these hold
 sequence holds `poses_seq00.txt` and `rgb_matched/frame-color-0000.png`. A row is
 `seq, frame, qw, qx, qy, qz, tx, ty, tz`, where `frame` is the number in the image's name.
 
-The data set says neither which way its poses map nor when an image was taken. Published code that renders its scenes
-takes the poses as camera-to-world in OpenCV's axes, and so they are read here; metres and the rate are assumed.
+The data set states neither the direction of its poses nor times. Published code that renders its scenes takes the poses
+as camera-to-world in OpenCV's axes, and so they are read here; metres and the rate are assumed.
 Intrinsics come from an `intrinsics.json` in the sequence or up to three folders above it, and are unknown without one.
 """
 
@@ -14,9 +14,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from sequences.datasets.layout import Layout
-from sequences.datasets.layout_helpers.numbered import NumberedLayout
-from sequences.datasets.posed_images import PosedImages
+from sequences.datasets.layout import Layout, PosedImages
+from sequences.datasets.layout_helpers.pose_lists import NumberedLayout
 from sequences.errors import SequenceError
 from sequences.values import natural
 

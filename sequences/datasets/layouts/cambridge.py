@@ -15,21 +15,18 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from filtering.errors import quoted
 from filtering.se3 import Poses
-from sequences.datasets.layout import Layout
-from sequences.datasets.layout_helpers.intrinsics import find_camera
-from sequences.datasets.layout_helpers.named import list_named
+from sequences.datasets.layout import Layout, PosedImages
+from sequences.datasets.layout_helpers.image_files import find_camera
+from sequences.datasets.layout_helpers.pose_lists import list_named
 from sequences.datasets.layout_helpers.pose_rows import read_pose_row
-from sequences.datasets.posed_images import PosedImages
 from sequences.errors import SequenceError
-from sequences.files.rows import Rows
-from sequences.files.text import read_lines
+from sequences.files import Rows, read_lines
 from sequences.values import is_number
 
 _NAME = "Cambridge Landmarks"
@@ -62,8 +59,7 @@ def list_images(path: Path) -> PosedImages | None:
         poses[name] = pose
     scene = path.absolute().parent
     images = list_named(_NAME, path.parent, path.parent, poses, _in_no_list(path.parent), rows.notices)
-    camera = find_camera((scene, scene.parent), images.files)
-    return replace(images, cameras=[camera] * len(images))
+    return images.with_camera(find_camera((scene, scene.parent), images.files))
 
 
 def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:

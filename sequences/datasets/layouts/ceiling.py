@@ -13,9 +13,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from sequences.datasets.layout import Layout
-from sequences.datasets.layout_helpers.numbered import NumberedLayout
-from sequences.datasets.posed_images import PosedImages
+from sequences.datasets.layout import Layout, PosedImages
+from sequences.datasets.layout_helpers.pose_lists import NumberedLayout
 from sequences.values import natural
 
 _NAME = "Ceiling"

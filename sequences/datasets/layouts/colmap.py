@@ -24,7 +24,7 @@ from jaxtyping import Float64, Int64
 
 from filtering.errors import quoted
 from filtering.se3 import Poses
-from sequences.datasets.layout import Layout
+from sequences.datasets.layout import Layout, PosedImages
 from sequences.datasets.layout_helpers.colmap_binary import (
     LARGEST_ID,
     NUM_PARAMETERS,
@@ -33,16 +33,13 @@ from sequences.datasets.layout_helpers.colmap_binary import (
     image_rows,
     keypoint_rows,
 )
-from sequences.datasets.layout_helpers.intrinsics import camera_of, lens_of, scaled_to
-from sequences.datasets.layout_helpers.named import list_named
+from sequences.datasets.layout_helpers.image_files import camera_of, lens_of, scaled_to
 from sequences.datasets.layout_helpers.packed import ImageFile
+from sequences.datasets.layout_helpers.pose_lists import list_named
 from sequences.datasets.layout_helpers.pose_rows import read_pose_row
-from sequences.datasets.posed_images import PosedImages
-from sequences.datasets.scene_points import point_ids
-from sequences.datasets.seen_points import PointsOfImages, seen_points
+from sequences.datasets.points import PointsOfImages, point_ids, seen_points
 from sequences.errors import SequenceError
-from sequences.files.rows import Rows
-from sequences.files.text import read_lines, read_rows
+from sequences.files import Rows, read_lines, read_rows
 from sequences.frame import Camera
 from sequences.images.undistortion import DistortionModel, Lens
 from sequences.values import parse_numbers, parse_whole
@@ -120,7 +117,8 @@ def _read_points(
 def _read_cameras(file: Path) -> dict[str, Camera | Lens]:
     """Cameras by their ids."""
     cameras: dict[str, Camera | Lens] = {}
-    for number, fields in camera_rows(file) if file.suffix == ".bin" else _text_cameras(file):
+    text_rows = ((number, line.split()) for number, line in read_rows(file))
+    for number, fields in camera_rows(file) if file.suffix == ".bin" else text_rows:
         where = f"{file}:{number}"
         if len(fields) < 4:
             raise SequenceError(f"{where}: {len(fields)} columns, expected `{_CAMERA_COLUMNS}`")
@@ -143,7 +141,7 @@ def _read_cameras(file: Path) -> dict[str, Camera | Lens]:
 
 
 def _way_out(model: str) -> str:
-    """What to say of a model whose images cannot be undistorted here."""
+    """The end of the error for a camera model that cannot be undistorted here."""
     if model not in NUM_PARAMETERS:
         return f"camera model {quoted(model)} is unknown, expected one of COLMAP's, such as {', '.join([*_MODELS][:5])}"
     if model == "EQUIRECTANGULAR":
@@ -162,7 +160,8 @@ def _read_images(
     camera_ids: dict[str, str] = {}
     seen: dict[str, int] = {}
     binary = file.suffix == ".bin"
-    for number, fields in rows.each(image_rows(file) if binary else _text_rows(file)):
+    text_rows = ((number, fields) for number, fields, _ in _text_images(file))
+    for number, fields in rows.each(image_rows(file) if binary else text_rows):
         where = f"{file}:{number}"
         camera_from_world = rows.use(read_pose_row, fields, _IMAGE_COLUMNS, where)
         if isinstance(camera_from_world, str) and len(fields) != len(_IMAGE_COLUMNS.split()):
@@ -181,18 +180,6 @@ def _read_images(
         is_known = isinstance(camera_from_world, Poses)
         poses[name] = camera_from_world.inverse() if is_known else camera_from_world
     return poses, camera_ids
-
-
-def _text_cameras(file: Path) -> Iterator[tuple[int, list[str]]]:
-    """Line and fields of each camera."""
-    for number, line in read_rows(file):
-        yield number, line.split()
-
-
-def _text_rows(file: Path) -> Iterator[tuple[int, list[str]]]:
-    """Line and fields of each image."""
-    for number, fields, _ in _text_images(file):
-        yield number, fields
 
 
 def _text_keypoints(file: Path) -> Iterator[tuple[str, Float64[np.ndarray, "k 2"], Int64[np.ndarray, " k"]]]:

@@ -8,29 +8,21 @@ left camera: intrinsics, distortion, and its pose T_BS in the body. True poses a
 
 from __future__ import annotations
 
-import os
-from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-
-import numpy as np
 
 from filtering.errors import quoted
 from filtering.se3 import Poses
-from sequences.datasets.layout import Layout
-from sequences.datasets.layout_helpers.image_files import num_beside
-from sequences.datasets.layout_helpers.intrinsics import camera_of, lens_of, scaled_to
+from sequences.datasets.layout import Layout, PosedImages
+from sequences.datasets.layout_helpers.image_files import camera_of, lens_of, scaled_to
 from sequences.datasets.layout_helpers.packed import ImageFile
+from sequences.datasets.layout_helpers.pose_lists import list_stamped
 from sequences.datasets.layout_helpers.pose_rows import read_pose_matrix
-from sequences.datasets.posed_images import PosedImages
 from sequences.errors import SequenceError
-from sequences.files.paths import require_inside
-from sequences.files.rows import Rows
-from sequences.files.structured import read_yaml
-from sequences.files.text import read_rows
+from sequences.files import Rows, read_yaml
 from sequences.frame import Camera
 from sequences.images.undistortion import DistortionModel, Lens
-from sequences.trajectories.interpolation import MAX_TRUE_POSE_GAP_S, interpolate
 from sequences.trajectories.pose_tables import read_pose_table
 from sequences.values import MAX_TIME_NS, parse_numbers, parse_whole
 
@@ -57,7 +49,6 @@ def list_images(path: Path) -> PosedImages | None:
     folder = next((f for f in (path / "mav0", path) if (f / "cam0" / "data.csv").is_file()), None)
     if folder is None:
         return None
-    skipped: Counter[str] = Counter()
     truth_file = folder / "state_groundtruth_estimate0" / "data.csv"
     if not truth_file.is_file():
         raise SequenceError(f"{truth_file}: no such file, expected the true poses of the sequence")
@@ -67,40 +58,13 @@ def list_images(path: Path) -> PosedImages | None:
     sensor_from_body = _body_from_sensor(stated).inverse() if stated.is_file() else Poses.identity()
     calibration = folder / "cam0" / "sensor.yaml"
     body_from_camera = _body_from_sensor(calibration)
-    rows = Rows("images")
-    times_ns, files = _read_list(folder / "cam0" / "data.csv", rows, skipped)
-    poses, covered = interpolate(truth.times_ns, truth.poses, times_ns, max_gap_s=MAX_TRUE_POSE_GAP_S)
-    skipped["true pose does not cover"] += int((~covered).sum())
-    kept = np.flatnonzero(covered)
-    files = [files[i] for i in kept]
-    camera = _read_camera(calibration, files)
-    world_from_camera = poses[kept] @ (sensor_from_body @ body_from_camera)
-    cameras = [camera] * len(files)
-    notices = [*truth_rows.notices, *rows.notices]
-    return PosedImages(_NAME, files, times_ns[kept], world_from_camera, cameras, skipped=+skipped, notices=notices)
-
-
-def _read_list(listing: Path, rows: Rows, skipped: Counter[str]) -> tuple[np.ndarray, list[Path]]:
-    """Stamps and files of the images that are there, in order of time."""
-    times_ns: list[int] = []
-    files: list[Path] = []
-    for number, line in rows.each(read_rows(listing)):
-        row = rows.use(_time_and_name, line, f"{listing}:{number}")
-        if isinstance(row, str):
-            skipped[row] += 1
-            continue
-        time_ns, name = row
-        if times_ns and time_ns <= times_ns[-1]:
-            skipped["time stamp not increasing"] += 1
-            continue
-        if not os.path.isfile(file := listing.parent / "data" / name):
-            skipped["no image"] += 1
-            continue
-        times_ns.append(time_ns)
-        files.append(file)
-    require_inside(listing.parent, files)
-    skipped["image not in the list"] += num_beside(files)
-    return np.array(times_ns, np.int64), files
+    cam0 = folder / "cam0"
+    images = list_stamped(_NAME, cam0, cam0 / "data.csv", cam0 / "data", _time_and_name, truth)
+    return replace(
+        images.with_camera(_read_camera(calibration, images.files)),
+        world_from_camera=images.world_from_camera @ (sensor_from_body @ body_from_camera),
+        notices=[*truth_rows.notices, *images.notices],
+    )
 
 
 def _time_and_name(line: str, where: str) -> tuple[int, str]:

@@ -20,16 +20,13 @@ from typing import Any
 
 from filtering.errors import quoted
 from filtering.se3 import Poses
-from sequences.datasets.layout import Layout
-from sequences.datasets.layout_helpers.image_files import size_of_first
-from sequences.datasets.layout_helpers.intrinsics import camera_of, lens_of, scaled_to
-from sequences.datasets.layout_helpers.named import list_named
+from sequences.datasets.layout import Layout, PosedImages
+from sequences.datasets.layout_helpers.image_files import camera_of, lens_of, scaled_to, size_of_first
 from sequences.datasets.layout_helpers.packed import ImageFile
+from sequences.datasets.layout_helpers.pose_lists import list_named
 from sequences.datasets.layout_helpers.pose_rows import from_opengl, read_pose_matrix
-from sequences.datasets.posed_images import PosedImages
 from sequences.errors import SequenceError
-from sequences.files.rows import Rows
-from sequences.files.structured import read_json
+from sequences.files import Rows, read_json
 from sequences.frame import Camera
 from sequences.images.undistortion import DistortionModel, Lens
 from sequences.values import LARGEST, parse_number
@@ -44,10 +41,10 @@ _COEFFICIENTS: dict[DistortionModel, tuple[str, ...]] = {
     "plumb_bob": ("k1", "k2", "p1", "p2", "k3"),
     "equidistant": ("k1", "k2", "k3", "k4"),
 }
-# Keys by which instant-ngp is told of an image that no pinhole camera or fisheye took.
+# Keys by which instant-ngp marks images of other cameras than pinholes and fisheyes.
 _OTHER_IMAGES = ("equirectangular", "latlong", "orthographic", "ftheta_p0")
 _PANORAMAS = ("EQUIRECTANGULAR", "equirectangular", "latlong")
-_SMALLEST = 1e-6  # of what is positive
+_SMALLEST = 1e-6  # of positive numbers
 _SUFFIXES = ("", ".png", ".jpg", ".jpeg")  # that names may lack
 
 
@@ -101,7 +98,7 @@ def _scaled(pose: Poses, factor: float) -> Poses:
 
 @dataclass(frozen=True)
 class _Stated:
-    """What is stated of a camera, by the names of the file; None for what is not."""
+    """A camera as the file states it; None where it does not."""
 
     w: float | None
     h: float | None

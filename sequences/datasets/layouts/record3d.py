@@ -2,7 +2,7 @@
 
 An `.r3d` file is a zip archive of `metadata` (JSON) and `rgbd/0.jpg`, `rgbd/1.jpg` and so on; a folder holds the same,
 or `metadata.json` and `rgb/0.jpg`. `poses` of the metadata has a row `qx qy qz qw tx ty tz` a frame, the pose
-camera-to-world with OpenGL's axes (y up, z backward), by the words of the app's author; metres. The world is the
+camera-to-world with OpenGL's axes (y up, z backward), as the app's author states; metres. The world is the
 camera's at the first frame. `perFrameIntrinsicCoeffs` has a row `fx fy cx cy` a frame, of which the medians are taken;
 older files have only `K`, column by column. `frameTimestamps` are seconds; without them `fps` gives the stamps.
 """
@@ -17,15 +17,12 @@ import numpy as np
 
 from filtering.errors import quoted
 from filtering.se3 import Poses
-from sequences.datasets.layout import Layout
-from sequences.datasets.layout_helpers.intrinsics import camera_of, scaled_to
+from sequences.datasets.layout import Layout, PosedImages
+from sequences.datasets.layout_helpers.image_files import camera_of, scaled_to
 from sequences.datasets.layout_helpers.packed import Archive, ImageFile, PackedImage
 from sequences.datasets.layout_helpers.pose_rows import from_opengl, read_pose_row, stack_poses
-from sequences.datasets.posed_images import PosedImages
 from sequences.errors import SequenceError
-from sequences.files.paths import require_inside
-from sequences.files.rows import Rows
-from sequences.files.structured import parse_json, read_json
+from sequences.files import Rows, parse_json, read_json, require_inside
 from sequences.frame import Camera
 from sequences.values import LARGEST, parse_frame_number, parse_number, parse_time_ns
 
@@ -46,14 +43,14 @@ def list_images(path: Path) -> PosedImages | None:
     where, metadata, files = found
     if not isinstance(metadata, dict) or not isinstance(metadata.get("poses"), list):
         raise SequenceError(f"{where}: no list of poses, expected `poses` with a row `{_COLUMNS}` a frame")
-    rows = metadata["poses"]
-    stamps, assumed_hz = _stamps(metadata, len(rows), where)
-    skipped: Counter[str] = Counter({"no true pose": sum(number >= len(rows) for number in files)})
+    stated = metadata["poses"]
+    stamps, assumed_hz = _stamps(metadata, len(stated), where)
+    skipped: Counter[str] = Counter({"no true pose": sum(number >= len(stated) for number in files)})
     numbers: list[int] = []
     poses: list[Poses] = []
-    told = Rows()
-    for number, row in told.each(enumerate(rows)):
-        pose = told.use(_pose, row, f"{where}: poses[{number}]")
+    rows = Rows()
+    for number, row in rows.each(enumerate(stated)):
+        pose = rows.use(_pose, row, f"{where}: poses[{number}]")
         if isinstance(pose, str):
             skipped[pose] += 1
         elif number not in files:
@@ -67,11 +64,11 @@ def list_images(path: Path) -> PosedImages | None:
     camera = scaled_to(_camera(metadata, where), used)
     times_ns = np.array([stamps[number] for number in numbers], np.int64)
     cameras = [camera] * len(used)
-    return PosedImages(_NAME, used, times_ns, stack_poses(poses), cameras, assumed_hz, +skipped, notices=told.notices)
+    return PosedImages(_NAME, used, times_ns, stack_poses(poses), cameras, assumed_hz, +skipped, notices=rows.notices)
 
 
 def _find(path: Path) -> tuple[str, Any, dict[int, ImageFile]] | None:
-    """Where the metadata is, what it says, and images by the numbers of their frames."""
+    """Place and content of the metadata, and images by the numbers of their frames."""
     files: dict[int, ImageFile] = {}
     if path.suffix == ".r3d" and path.is_file():
         archive, where = Archive(path), f"{path}:metadata"

@@ -12,14 +12,12 @@ from pathlib import Path
 
 from filtering.errors import quoted
 from filtering.se3 import Poses
-from sequences.datasets.layout import Layout
-from sequences.datasets.layout_helpers.intrinsics import find_camera
-from sequences.datasets.layout_helpers.pose_rows import read_pose_matrix, stack_poses
-from sequences.datasets.posed_images import PosedImages
+from sequences.datasets.layout import Layout, PosedImages
+from sequences.datasets.layout_helpers.image_files import find_camera
+from sequences.datasets.layout_helpers.pose_lists import NumberedSequence, list_numbered
+from sequences.datasets.layout_helpers.pose_rows import read_pose_matrix
 from sequences.errors import SequenceError
-from sequences.files.paths import require_inside
-from sequences.files.rows import Rows
-from sequences.files.text import read_rows
+from sequences.files import Rows, read_rows, require_inside
 from sequences.frame import Camera
 from sequences.values import parse_frame_number, parse_numbers
 
@@ -68,28 +66,19 @@ def _holds_frames(folder: Path) -> bool:
     return folder.is_dir() and next(folder.glob("frame-*.pose.txt"), None) is not None
 
 
-def _list(sequences: list[Path]) -> PosedImages:
-    skipped: Counter[str] = Counter()
-    files: list[Path] = []
-    poses: list[Poses] = []
-    numbers: list[list[int]] = []
+def _list(folders: list[Path]) -> PosedImages:
     rows = Rows("poses")
-    for folder in sequences:
+    sequences: list[NumberedSequence] = []
+    for folder in folders:
         images = {_frame_number(p): p for ext in ("png", "jpg") for p in folder.glob(f"frame-*.color.{ext}")}
-        posed = {_frame_number(p): p for p in folder.glob("frame-*.pose.txt")}
-        require_inside(folder, [*images.values(), *posed.values()])
-        skipped["no true pose"] += len(images.keys() - posed.keys())
-        skipped["no image"] += len(posed.keys() - images.keys())
-        numbers.append([])
-        for number in rows.each(sorted(images.keys() & posed.keys())):
-            if isinstance(pose := rows.use(_read_pose, posed[number]), str):
-                skipped[pose] += 1
-                continue
-            files.append(images[number])
-            poses.append(pose)
-            numbers[-1].append(number)
-    camera = find_camera((sequences[0], sequences[0].parent), files, _CAMERA)
-    return PosedImages.numbered(_NAME, files, stack_poses(poses), numbers, skipped, camera, rows.notices)
+        files = {_frame_number(p): p for p in folder.glob("frame-*.pose.txt")}
+        require_inside(folder, [*images.values(), *files.values()])
+        posed: dict[int, Poses | str] = dict.fromkeys(files, "no image")
+        for number in rows.each(sorted(images.keys() & files.keys())):
+            posed[number] = rows.use(_read_pose, files[number])
+        sequences.append((images, posed))
+    listed = list_numbered(_NAME, sequences, Counter(), rows.notices)
+    return listed.with_camera(find_camera((folders[0], folders[0].parent), listed.files, _CAMERA))
 
 
 def _frame_number(path: Path) -> int:

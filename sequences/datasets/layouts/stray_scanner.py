@@ -2,7 +2,7 @@
 
 A row of `odometry.csv` is `timestamp, frame, x, y, z, qx, qy, qz, qw`: seconds since the phone was started, the number
 of the frame of the video, and the pose camera-to-world. The app turns ARKit's axes (y up, z backward) into OpenCV's
-before it writes them, as its source does and its author says, so they stand as they are here. `rgb/000000.jpg` (or
+before it writes them, as its source shows and its author states, so they are taken as they are. `rgb/000000.jpg` (or
 .png) and so on are taken for the video where there are such files. `camera_matrix.csv` is a 3 x 3 matrix in pixels of
 the video; of columns fx, fy, cx and cy of the rows, where there are any, the medians are taken for it.
 """
@@ -17,15 +17,12 @@ import numpy as np
 
 from filtering.errors import quoted
 from filtering.se3 import Poses
-from sequences.datasets.layout import Layout
+from sequences.datasets.layout import Layout, PosedImages
 from sequences.datasets.layout_helpers.image_files import images_by_number, images_in, size_of_first
 from sequences.datasets.layout_helpers.packed import ImageFile, VideoFile
 from sequences.datasets.layout_helpers.pose_rows import read_pose_row, stack_poses
-from sequences.datasets.posed_images import PosedImages
 from sequences.errors import SequenceError
-from sequences.files.paths import require_inside
-from sequences.files.rows import Rows
-from sequences.files.text import read_rows
+from sequences.files import Rows, read_rows, require_inside
 from sequences.frame import Camera
 from sequences.values import parse_frame_number, parse_numbers, parse_time_ns
 

@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
-import os
-from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from filtering.errors import quoted
-from sequences.datasets.layout import Layout
-from sequences.datasets.layout_helpers.image_files import num_beside
-from sequences.datasets.layout_helpers.intrinsics import find_camera
-from sequences.datasets.posed_images import PosedImages
+from sequences.datasets.layout import Layout, PosedImages
+from sequences.datasets.layout_helpers.image_files import find_camera
+from sequences.datasets.layout_helpers.pose_lists import list_stamped
 from sequences.errors import SequenceError
-from sequences.files.paths import require_inside
-from sequences.files.rows import Rows
-from sequences.files.text import read_rows
+from sequences.files import Rows
 from sequences.frame import Camera
-from sequences.trajectories.interpolation import MAX_TRUE_POSE_GAP_S, interpolate
 from sequences.trajectories.tum import read_tum
 from sequences.values import parse_time_ns
 
@@ -40,40 +33,12 @@ def list_images(path: Path) -> PosedImages | None:
     """
     if not ((path / "rgb.txt").is_file() and (path / "groundtruth.txt").is_file()):
         return None
-    skipped: Counter[str] = Counter()
     truth_rows = Rows("true poses")
     truth = read_tum(path / "groundtruth.txt", truth_rows)
-    times_ns: list[int] = []
-    files: list[Path] = []
-    listed: list[Path] = []
-    rows = Rows("images")
-    for number, line in rows.each(read_rows(path / "rgb.txt")):
-        row = rows.use(_time_and_name, line, f"{path / 'rgb.txt'}:{number}")
-        if isinstance(row, str):
-            skipped[row] += 1
-            continue
-        found_ns, name = row
-        listed.append(file := path / name)
-        if times_ns and found_ns <= times_ns[-1]:
-            skipped["time stamp not increasing"] += 1
-            continue
-        if not os.path.isfile(file):
-            skipped["no image"] += 1
-            continue
-        times_ns.append(found_ns)
-        files.append(file)
-    require_inside(path, listed)
-    skipped["image not in the list"] += num_beside(listed)
-    times = np.array(times_ns, np.int64)
-    poses, covered = interpolate(truth.times_ns, truth.poses, times, max_gap_s=MAX_TRUE_POSE_GAP_S)
-    if not covered.all():
-        skipped["true pose does not cover"] += int((~covered).sum())
-    kept = np.flatnonzero(covered)
-    files = [files[i] for i in kept]
+    images = list_stamped(_NAME, path, path / "rgb.txt", path, _time_and_name, truth)
     known = next((camera for name, camera in _KNOWN_CAMERAS.items() if name in path.name), _CAMERA)
-    camera = find_camera((path, path.parent), files, known)
-    notices = [*truth_rows.notices, *rows.notices]
-    return PosedImages(_NAME, files, times[kept], poses[kept], [camera] * len(files), skipped=+skipped, notices=notices)
+    camera = find_camera((path, path.parent), images.files, known)
+    return replace(images.with_camera(camera), notices=[*truth_rows.notices, *images.notices])
 
 
 def _time_and_name(line: str, where: str) -> tuple[int, str]:

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d, minimum_filter1d
 
 from filtering.se3 import Poses
-from sequences.paths.motion import STEP_S, rotations, wander
+from sequences.paths import STEP_S, rotations, wander
 from sequences.rendering.mesh import Part
 from sequences.rendering.texture import plain
 from sequences.scenes.building.layout import layout

@@ -11,7 +11,7 @@ from sequences.datasets.frames import posed_frames
 from sequences.datasets.layout_helpers.colmap_binary import NUM_PARAMETERS
 from sequences.datasets.listing import list_images
 from sequences.errors import SequenceError
-from sequences.files.rows import UNUSABLE
+from sequences.files import UNUSABLE
 from sequences.frame import Camera
 from sequences.images.decoding import decode_image_bytes
 from sequences.images.undistortion import Lens, pinhole_of, undistorted

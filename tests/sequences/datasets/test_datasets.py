@@ -14,11 +14,12 @@ from sequences.datasets.convert import convert
 from sequences.datasets.frames import posed_frames
 from sequences.datasets.listing import list_images
 from sequences.errors import SequenceError
-from sequences.files.rows import UNUSABLE
+from sequences.files import UNUSABLE
 from sequences.frame import Trajectory
 from sequences.odometry import OdometryNoise
 from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
+from sequences.recordings.bag import Bag
 from sequences.trajectories.tum import write_tum
 from tests.helpers.data_sets import STEP_NS, make_7scenes, make_tum, same, truth_at
 from tests.helpers.sequence_files import BEGIN_NS, FORMS, Walk, rewrite, world_from_camera
@@ -128,14 +129,6 @@ def test_a_7_scenes_pose_that_is_none_is_left_out_and_named(content: str, said: 
     assert convert(scene, tmp_path / "out.mcap").notices == (notice,)
 
 
-def test_an_unknown_layout_is_told_what_was_looked_for(tmp_path: Path) -> None:
-    (tmp_path / "rgb.txt").write_text("# without groundtruth.txt\n")
-    with pytest.raises(SequenceError, match=r"looked for an \.mcap file.*groundtruth\.txt.*frame-\*\.pose\.txt"):
-        list(posed_frames(tmp_path))
-    with pytest.raises(SequenceError, match="no such folder"):
-        list(posed_frames(tmp_path / "nowhere"))
-
-
 def test_damaged_intrinsics_are_refused_and_damaged_rows_of_a_list_left_out_and_named(tmp_path: Path) -> None:
     folder = make_tum(tmp_path / "tum")
     (folder / "intrinsics.json").write_text('{"width": 3}')
@@ -228,16 +221,11 @@ def test_images_are_copied_as_they_are(tmp_path: Path) -> None:
     scene = make_7scenes(tmp_path / "scene", num_images=3)
     convert(scene, tmp_path / "out.mcap", frames=slice(1, None))
     stored = (scene / "seq-01" / "frame-000002.color.png").read_bytes()
-    assert stored in (data := b"".join(raw.data for raw in _images(tmp_path / "out.mcap")))
+    messages = Bag(tmp_path / "out.mcap").messages(["/camera/image/compressed"])
+    assert stored in (data := b"".join(raw.data for raw in messages))
     assert (scene / "seq-01" / "frame-000000.color.png").read_bytes() not in data
     with pytest.raises(SequenceError, match="no odometry topic"):
         SequenceReader(tmp_path / "out.mcap")
-
-
-def _images(path: Path) -> list:
-    from sequences.recordings.bag import Bag
-
-    return list(Bag(path).messages(["/camera/image/compressed"]))
 
 
 def test_what_a_conversion_leaves_out_is_counted(tmp_path: Path) -> None:

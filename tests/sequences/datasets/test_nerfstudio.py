@@ -8,7 +8,7 @@ import pytest
 
 from sequences.datasets.listing import list_images
 from sequences.errors import SequenceError
-from sequences.files.rows import UNUSABLE
+from sequences.files import UNUSABLE
 from sequences.frame import Camera
 from sequences.images.undistortion import Lens
 from tests.helpers.dot_scene import (

@@ -11,7 +11,7 @@ from sequences.datasets.convert import convert
 from sequences.datasets.frames import posed_frames
 from sequences.datasets.listing import list_images
 from sequences.errors import SequenceError
-from sequences.files.rows import UNUSABLE
+from sequences.files import UNUSABLE
 from tests.helpers.data_sets import (
     INTRINSICS,
     THIRTIETH_NS,

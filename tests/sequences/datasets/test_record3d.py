@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from sequences.datasets.listing import list_images
-from sequences.files.rows import UNUSABLE
+from sequences.files import UNUSABLE
 from tests.helpers.dot_scene import (
     NUM,
     R3D_SECONDS,

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sequences.datasets.scene_points import scene_points
+from sequences.datasets.points import scene_points
 from sequences.errors import SequenceError
 from tests.helpers.data_sets import make_colmap
 from tests.helpers.dot_scene import make_colmap_binary

@@ -9,7 +9,7 @@ import pytest
 
 from sequences.datasets.frames import posed_frames
 from sequences.datasets.layout_helpers.colmap_binary import keypoint_rows
-from sequences.datasets.seen_points import PointsOfImages, seen_points
+from sequences.datasets.points import PointsOfImages, seen_points
 from sequences.errors import SequenceError
 from sequences.frame import Camera
 from sequences.images.undistortion import DistortionModel, Lens, rays_of
@@ -109,7 +109,7 @@ def test_damaged_keypoints_are_refused_where_they_are(keypoints: str, said: str,
 
 
 def test_a_model_with_more_sightings_than_memory_shall_hold_shows_none(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sequences.datasets.seen_points._MOST", 3)
+    monkeypatch.setattr("sequences.datasets.points._MOST", 3)
     stated = [(Path(name), Camera(9, 9, 5.0, 5.0, 4.0, 4.0), np.zeros((2, 2)), np.arange(2)) for name in "ab"]
     said = "model: more than 3 sightings of points, so none is used"
     assert seen_points("model", stated, np.arange(2), True) == PointsOfImages({}, (said,))

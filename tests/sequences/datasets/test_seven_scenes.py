@@ -9,7 +9,7 @@ import pytest
 from sequences.datasets.frames import posed_frames
 from sequences.datasets.listing import list_images
 from sequences.errors import SequenceError
-from sequences.files.rows import UNUSABLE
+from sequences.files import UNUSABLE
 from tests.helpers.data_sets import make_7scenes
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from sequences.datasets.frames import posed_frames
 from sequences.datasets.listing import list_images
-from sequences.files.rows import UNUSABLE
+from sequences.files import UNUSABLE
 from tests.helpers.dot_scene import (
     CX,
     CY,

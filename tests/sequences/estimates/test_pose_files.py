@@ -11,8 +11,7 @@ from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.estimates.options import EstimateOptions
 from sequences.estimates.pose_files import FrameName, natural_order, read_poses
-from sequences.files.rows import Rows
-from sequences.files.text import read_text
+from sequences.files import Rows, read_text
 from sequences.frame import Trajectory
 from sequences.trajectories.tum import write_tum
 from tests.helpers.pose_files import TIMES_NS, TRACK, as_euroc, walk, write_named

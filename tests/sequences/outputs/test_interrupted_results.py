@@ -14,7 +14,7 @@ import pytest
 
 from sequences.atomic import NEW, clear_leftovers, move_in, workspace
 from sequences.errors import SequenceError
-from sequences.outputs.manifest import MANIFEST, read_manifest, verify
+from sequences.outputs import MANIFEST, read_manifest, verify
 from tests.helpers.full_disk import ENOUGH, filling
 from tests.helpers.results import WRITES, whole, write
 
@@ -73,7 +73,7 @@ import sys
 sys.path[:] = eval(sys.argv.pop(1))
 from pathlib import Path
 from sequences.atomic import atomic_output
-from sequences.outputs.results import results_folder
+from sequences.outputs import results_folder
 for number in range(10**6):
     with results_folder(Path(sys.argv[1]), "run", writes=("a.tum", "b.json", "sometimes.png")) as new:
         for name in ("a.tum", "b.json") + ("sometimes.png",) * (number % 2):

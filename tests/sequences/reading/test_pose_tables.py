@@ -9,7 +9,7 @@ import pytest
 from filtering.se3 import Poses
 from sequences.datasets.frames import posed_frames
 from sequences.errors import SequenceError
-from sequences.files.rows import Rows
+from sequences.files import Rows
 from sequences.frame import Trajectory
 from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader

@@ -131,7 +131,7 @@ def test_a_frame_that_is_not_there_or_does_not_move_is_refused(tmp_path: Path) -
         read(path, ground_truth_frame="plate")
     with pytest.raises(SequenceError, match=r"tf has no 'vo' in which 'camera' moves \(--odometry-frame\)"):
         SequenceReader(path, SequenceOptions(odometry_frame="vo"))
-    with pytest.raises(SequenceError, match=r"--ground-truth-frame and --poses all say where"):
+    with pytest.raises(SequenceError, match=r"--ground-truth-frame and --poses all state where"):
         SequenceOptions(ground_truth_frame="map", poses=Path("a.txt"))
 
 

@@ -10,10 +10,8 @@ from hypothesis import strategies as st
 from filtering.motion import MotionNoise, Odometry
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
-from sequences.trajectories.increments import odometry_between
-from sequences.trajectories.interpolation import interpolate
-from sequences.trajectories.jumps import Motion, is_jump
-from sequences.trajectories.pose_window import PoseWindow
+from sequences.trajectories.interpolation import interpolate, odometry_between
+from sequences.trajectories.pose_window import Motion, PoseWindow, is_jump
 
 SECOND = 1_000_000_000
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from sequences.outputs.results import results_folder
+from sequences.outputs import results_folder
 
 
 @pytest.fixture

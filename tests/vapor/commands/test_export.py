@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from sequences.outputs.results import results_folder
+from sequences.outputs import results_folder
 from tests.helpers.command_line import contents, refuse
 from vapor.engines import onnx_export
 from vapor.engines.onnx_file import describe_onnx

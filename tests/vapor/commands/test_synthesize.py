@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from sequences.paths import choose
+from sequences import paths
 from sequences.reader import SequenceReader
 from sequences.synthesize import synthesize
 from tests.helpers.command_line import contents, refuse, skipped_in_run
@@ -44,7 +44,7 @@ def test_a_folder_that_cannot_be_written_to_is_named(tmp_path, capsys):
 
 def test_a_test_path_is_found_even_where_no_path_can_be_as_wished(monkeypatch):
     tried = []
-    monkeypatch.setattr(choose, "resolvable", lambda seen: tried.append(len(seen)))  # never
+    monkeypatch.setattr(paths, "resolvable", lambda seen: tried.append(len(seen)))  # never
     sequence = synthesize("ceiling", seed=0, num_frames=20, width=16, height=12)
     assert len(sequence.world_from_camera) == 20
     assert 10 < len(tried) <= 100

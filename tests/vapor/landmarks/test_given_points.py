@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from sequences.datasets.seen_points import POINTS_OF_A_MODEL, SeenPoints
+from sequences.datasets.points import POINTS_OF_A_MODEL, SeenPoints
 from tests.helpers.textured_room import CAMERA, walk
 from vapor.landmarks.build import build, gather
 from vapor.landmarks.features import Features

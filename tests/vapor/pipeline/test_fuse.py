@@ -127,7 +127,7 @@ def test_each_file_has_a_clock_of_its_own_though_some_stamps_coincide(tmp_path):
     files = [tmp_path / "exact.tum", tmp_path / "late.tum"]
     told = EstimateSequence(files, odometry=tmp_path / "odometry.tum", options=EstimateOptions())
     (notice,) = told.notices
-    assert "late.tum: rotations say that its clock differs: -0.30 s" in notice
+    assert "late.tum: by its rotation the clock differs: -0.30 s" in notice
     found = EstimateSequence(files, odometry=tmp_path / "odometry.tum", options=EstimateOptions(time_offset_s="auto"))
     assert ["time offset -0.300" in each for each in found.notices] == [False, True]
 

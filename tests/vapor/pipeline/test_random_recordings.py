@@ -15,7 +15,7 @@ from mcap_ros2.decoder import DecoderFactory
 from filtering.errors import VaporTrackError
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
-from sequences.files.text import read_lines
+from sequences.files import read_lines
 from sequences.reader import SequenceReader
 from sequences.trajectories.tum import read_tum
 from tests.helpers.random_recordings import NUM_IMAGES, write_random

@@ -14,7 +14,7 @@ from rich.table import Table
 
 from filtering.errors import VaporTrackError, require_within
 from sequences.live.options import MAX_DOMAIN
-from sequences.outputs.claims import claim_folder
+from sequences.outputs import claim_folder
 from vapor.benchmark import PROGRAM
 from vapor.benchmark.commands.cells import new_table
 from vapor.benchmark.live.measure import Latency, Measured, measure

@@ -11,9 +11,7 @@ from typing import Annotated, Any, TypeVar, get_type_hints
 import tyro
 
 from filtering.errors import VaporTrackError
-from sequences.outputs.claims import claim_folder
-from sequences.outputs.folders import names_told
-from sequences.outputs.manifest import MANIFEST, own_manifest
+from sequences.outputs import MANIFEST, claim_folder, own_manifest, short_list
 from sequences.scenes import find_scene, is_scene, scene_names
 from vapor.benchmark import PROGRAM
 from vapor.checkpoints.file_format import find_model
@@ -41,7 +39,7 @@ def claim_shared(
         if own_manifest(directory) is None:
             if names and not overwrite:
                 expected = f"expected an empty folder or one of `{PROGRAM} {command}`"
-                raise VaporTrackError(f"{url}: {names_told(names)}, {expected}; --overwrite uses it all the same")
+                raise VaporTrackError(f"{url}: {short_list(names)}, {expected}; --overwrite uses it all the same")
             shutil.rmtree(directory, ignore_errors=True)  # of what is no longer there
     claim_folder(directory, f"{PROGRAM} {command}", reads=reads, overwrite=overwrite)
     workers.require_to_see(directory)

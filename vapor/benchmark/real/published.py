@@ -16,12 +16,12 @@ from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from sequences.estimates.options import EstimateOptions
 from sequences.estimates.sequence import EstimateSequence
-from sequences.files.structured import read_arrays
+from sequences.files import read_arrays
 from sequences.frame import BASE_FROM_CAMERA
 from sequences.odometry import OdometryNoise, simulate_odometry
 from sequences.odometry_fit.fit import fit_odometry
 from sequences.odometry_fit.pieces import OdometrySegment
-from sequences.trajectories.increments import odometry_between
+from sequences.trajectories.interpolation import odometry_between
 from vapor.benchmark.real.row import Draw, RowContext
 from vapor.calibration.error_correlation import Travel
 from vapor.calibration.image_errors import fit_errors

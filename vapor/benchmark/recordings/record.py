@@ -17,12 +17,11 @@ from filtering.se3 import Poses
 from sequences.atomic import workspace
 from sequences.frame import Camera, Frame
 from sequences.options import SequenceOptions
-from sequences.paths.motion import Stand
+from sequences.paths import Stand
 from sequences.reader import SequenceReader
 from sequences.rendering.render import sees_cue
 from sequences.scenes import find_scene
-from sequences.synthesize import synthesize, write_synthetic
-from sequences.synthetic_sequence import SyntheticSequence
+from sequences.synthesize import SyntheticSequence, synthesize, write_synthetic
 from vapor.benchmark.foreign_images import FOREIGN
 from vapor.benchmark.recordings.storage import (
     PATH,

@@ -16,8 +16,8 @@ from filtering.errors import VaporTrackError, quoted
 from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
-from sequences.files.structured import read_arrays, read_json
-from sequences.paths.choose import Cues
+from sequences.files import read_arrays, read_json
+from sequences.paths import Cues
 from sequences.synthesize import SYNTHESIS
 from vapor.cache import code_digest, digest
 from vapor.checkpoints.checkpoint import Checkpoint

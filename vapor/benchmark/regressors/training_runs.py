@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 from sequences.atomic import atomic_output, workspace
 from sequences.datasets.listing import is_list
-from sequences.files.structured import read_json
+from sequences.files import read_json
 from sequences.synthesize import SYNTHESIS, synthesize, write_synthetic
 from vapor.cache import digest
 from vapor.checkpoints.file_format import load_checkpoint

@@ -12,8 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Int64
 
 from filtering.errors import VaporTrackError
-from sequences.paths.choose import Cues
-from sequences.paths.motion import IMAGE_RATE_HZ
+from sequences.paths import IMAGE_RATE_HZ, Cues
 from vapor.benchmark.recordings.storage import CameraPath
 
 

@@ -1,0 +1,358 @@
+"""Folders of results: complete or absent, listed by a manifest that is written last, and only replaced by results.
+
+A new folder is made beside its place and renamed. In an existing one files are replaced one by one, without a manifest
+meanwhile. The next command that reads or writes there puts back what a killed process left half replaced.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import json
+import os
+import stat
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from sequences.atomic import CACHE, NEW, atomic_output, clear_leftovers, followed, is_workspace, move_in, workspace
+from sequences.errors import SequenceError
+
+MANIFEST = "manifest.json"
+FORMAT, VERSION = "vapor-track results", 1
+UNCHECKED = f"no {MANIFEST}: its files could not be checked"
+"""Notice for a folder without a manifest."""
+_LONGEST = 10_000_000  # bytes of a manifest
+_NAMED = 3  # files, in a message
+
+
+@dataclass(frozen=True)
+class Listed:
+    """A file of a manifest.
+
+    Attributes:
+        size: In bytes.
+        sha256: Of its content, hexadecimal.
+    """
+
+    size: int
+    sha256: str
+
+    @classmethod
+    def of(cls, file: Path) -> Listed:
+        """Size and checksum of a file."""
+        with file.open("rb") as content:
+            return cls(file.stat().st_size, hashlib.file_digest(content, "sha256").hexdigest())
+
+    def is_of(self, file: Path) -> bool:
+        """Whether a file is what was listed."""
+        found = file.lstat()
+        return stat.S_ISREG(found.st_mode) and found.st_size == self.size and Listed.of(file) == self
+
+
+def verify(directory: Path, names: Iterable[str]) -> None:
+    """Check files that are to be read against the manifest of their folder, where it has one (else: `UNCHECKED`).
+
+    Raises:
+        SequenceError: a listed file is missing or differs, or the manifest cannot be read.
+    """
+    clear_leftovers(directory)
+    if not (directory / MANIFEST).exists():
+        if any(is_workspace(entry.name) for entry in directory.iterdir()):
+            raise SequenceError(f"{directory}: its results are being replaced, expected no run to write to it")
+        return
+    files = read_manifest(directory)["files"] or {}
+    for name in names:
+        if name not in files:
+            continue
+        file = directory / name
+        if not file.exists():
+            raise SequenceError(f"{file}: missing, expected it as listed in {MANIFEST}")
+        if not files[name].is_of(file):
+            raise SequenceError(f"{file}: differs from what {MANIFEST} lists, expected it as the run wrote it")
+
+
+def read_manifest(directory: Path) -> dict[str, Any]:
+    """The manifest of a folder, with `Listed` by name as its `files`, None where the folder grows.
+
+    Raises:
+        SequenceError: there is none, or it is none of ours.
+    """
+    path = directory / MANIFEST
+    try:
+        if path.stat().st_size > _LONGEST:
+            raise SequenceError(f"{path}: {path.stat().st_size} bytes, expected at most {_LONGEST}")
+        content = json.loads(path.read_text(encoding="utf-8"))
+        if (content["format"], content["version"]) != (FORMAT, VERSION):
+            raise ValueError("other format or version")
+        files = content["files"]
+        if files is not None:
+            files = {name: Listed(int(entry["size"]), str(entry["sha256"])) for name, entry in files.items()}
+            if any(Path(name).name != name or name == MANIFEST for name in files):
+                raise ValueError("other names than of files")
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
+        raise SequenceError(f"{path}: cannot be read as a manifest of format {FORMAT!r}, version {VERSION}") from error
+    return content | {"files": files}
+
+
+def own_manifest(directory: Path) -> dict[str, Any] | None:
+    """The manifest of a folder, None where there is none of ours."""
+    try:
+        return read_manifest(directory)
+    except SequenceError:
+        return None
+
+
+def write_manifest(directory: Path, command: str, files: Mapping[str, Listed] | None) -> None:
+    """Write the manifest of a folder, with its files by name; None where the folder grows."""
+    manifest = {
+        "format": FORMAT,
+        "version": VERSION,
+        "command": command,
+        "vapor-track": importlib.metadata.version("vapor-track"),
+        "files": None if files is None else {name: asdict(listed) for name, listed in files.items()},
+    }
+    with atomic_output(directory / MANIFEST) as partial:
+        partial.write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
+
+
+@contextmanager
+def writing(directory: Path) -> Iterator[None]:
+    """Turn an OSError into a SequenceError that names the folder."""
+    try:
+        yield
+    except OSError as error:
+        raise SequenceError(
+            f"{directory}: cannot write: {error.strerror or error}, expected a directory that can be written to"
+        ) from error
+
+
+def folder_to_write(directory: Path) -> Path:
+    """The folder that an output leads to, absolute; what killed processes left there is cleared away.
+
+    Raises:
+        SequenceError: it is a file, or a link that leads to nothing.
+    """
+    folder = followed(directory).absolute()
+    if folder.exists() and not folder.is_dir():
+        raise SequenceError(f"{directory}: is a file, expected a directory to write the results to")
+    clear_leftovers(folder)
+    return folder
+
+
+def foreign_files(directory: Path, reads: Iterable[Path]) -> dict[str, str]:
+    """Other files of a folder than the results that its manifest lists: descriptions by name.
+
+    Files that the command reads are never results.
+    """
+    if not directory.is_dir():
+        return {}
+    manifest = own_manifest(directory)
+    listed = {} if manifest is None else manifest["files"] or {}
+    read = {path.resolve() for path in reads}
+    foreign: dict[str, str] = {}
+    for entry in sorted(directory.iterdir()):
+        name, ours = entry.name, listed.get(entry.name)
+        if is_workspace(name) or name == CACHE or (name == MANIFEST and listed):
+            continue
+        if entry.resolve() in read:
+            foreign[name] = f"{name} (which is read)"
+        elif ours is None:
+            foreign[name] = name
+        elif not ours.is_of(entry):
+            foreign[name] = f"{name} (changed)"
+    return foreign
+
+
+def short_list(names: Sequence[str]) -> str:
+    """Up to three names, and how many more there are."""
+    short = [name if len(name) <= 40 else f"{name[:39]}…" for name in names[:_NAMED]]
+    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    return f"holds {', '.join(short)}{more}"
+
+
+@contextmanager
+def results_folder(
+    directory: Path, command: str, *, writes: Collection[str], reads: Iterable[Path] = (), overwrite: bool = False
+) -> Iterator[Path]:
+    """Give a hidden folder to write to; on success it takes the place of `directory`, with a manifest.
+
+    Args:
+        directory: Absent, empty or results; made with the folders above it. A link to a folder is followed.
+        command: The command that writes it.
+        writes: Names of all files that it may write.
+        reads: Files and folders that it reads: they are never replaced, nor what lies in them but unchanged results.
+        overwrite: Take any folder, and replace files of these names, and of an earlier manifest, only.
+
+    Raises:
+        SequenceError: the folder holds something else, is none, is or holds what is read, or cannot be written to.
+            All but failing disks are found before anything is written.
+    """
+    reads = list(reads) if directory.exists() else []
+    given, directory = directory, require_replaceable(directory, writes, reads, overwrite=overwrite)
+    with ExitStack() as stack:
+        with writing(given):
+            above = [folder for folder in directory.parents if not folder.exists()]
+            stack.callback(_remove_empty, above)
+            is_new = not directory.exists()
+            place = directory.parent if is_new else directory
+            place.mkdir(parents=True, exist_ok=True)
+            work = stack.enter_context(workspace(place, directory.name))
+            new = work / NEW
+            new.mkdir()
+        yield new
+        with writing(given):
+            write_manifest(new, command, {file.name: Listed.of(file) for file in sorted(new.iterdir())})
+            if not is_new:
+                _replace_files(work, writes if overwrite else (), reads)
+            elif not directory.exists():
+                os.rename(new, directory)
+            else:  # it was made meanwhile
+                work = stack.enter_context(workspace(directory, directory.name))
+                os.rename(new, work / NEW)
+                _replace_files(work, writes if overwrite else (), reads)
+
+
+def require_replaceable(
+    directory: Path, writes: Collection[str], reads: Iterable[Path] = (), *, overwrite: bool = False
+) -> Path:
+    """Raise where `results_folder` would, but for failing disks.
+
+    Returns:
+        The folder that is meant.
+    """
+    with writing(directory):
+        given, directory = directory, folder_to_write(directory)
+        reads = list(reads) if directory.exists() else []
+        foreign = foreign_files(directory, reads)
+        if foreign and not overwrite:
+            raise SequenceError(
+                f"{given}: {short_list([*foreign.values()])}, expected an empty folder or unchanged results;"
+                " --overwrite replaces files of the results' names only"
+            )
+        _refuse_lost(directory, foreign, reads, writes)
+        return directory
+
+
+def _refuse_lost(directory: Path, foreign: Collection[str], reads: Iterable[Path], writes: Collection[str]) -> None:
+    """Raise where replacing files by name would lose what is read, or a folder."""
+    names, place = sorted({*writes, MANIFEST}), directory.resolve()
+    for path in reads:
+        path = path.resolve()
+        lost = [place / name for name in names if name in foreign] if place.is_relative_to(path) else []
+        if path == place or (path.parent == place and path.name in names):
+            lost = [path]
+        if lost:
+            raise SequenceError(f"{lost[0]}: is read, and would be written to; expected another folder for the results")
+    for name in names:
+        if (directory / name).is_dir():
+            raise SequenceError(f"{directory / name}: is a folder, expected none of a file's name")
+
+
+def _replace_files(work: Path, names: Collection[str], reads: Iterable[Path]) -> None:
+    """Replace files one by one: those that the earlier manifest lists, and those of some names."""
+    directory = work.parent
+    manifest = own_manifest(directory)
+    before = {} if manifest is None else manifest["files"] or {}
+    read = {path.resolve() for path in reads}
+    new = sorted(file.name for file in (work / NEW).iterdir() if file.name != MANIFEST)
+    for name in new:
+        file = directory / name
+        if file.exists() and name not in names and not (name in before and before[name].is_of(file)):
+            raise SequenceError(f"{file}: was written meanwhile, expected no other than the results")
+    gone = [
+        name
+        for name, listed in before.items()
+        if name not in new
+        and (directory / name).exists()
+        and listed.is_of(directory / name)
+        and (directory / name).resolve() not in read
+    ]
+    first = [MANIFEST] if (directory / MANIFEST).exists() else []
+    move_in(work, [*new, MANIFEST], instead_of=[*first, *gone])
+
+
+def _remove_empty(folders: Iterable[Path]) -> None:
+    with suppress(OSError):
+        for folder in folders:
+            folder.rmdir()
+
+
+def claim_folder(directory: Path, command: str, *, reads: Iterable[Path] = (), overwrite: bool = False) -> None:
+    """Make a folder in which a command keeps what it found, goes on after interruptions, and replaces only its own.
+
+    Its manifest lists no files. Leftovers of killed processes are removed there and in all folders within, as the call
+    that goes on may have nothing to write to some of them.
+
+    Args:
+        directory: Absent, empty or such a folder; made with the folders above it.
+        command: The command that writes there, as typed.
+        reads: Files and folders that it reads: none may lie in the folder, nor the folder among what is in them.
+        overwrite: Take any other folder.
+
+    Raises:
+        SequenceError: the folder holds something else, is, holds or lies among what is read, is none, or cannot be
+            written to.
+    """
+    with writing(directory):
+        given, directory = directory, folder_to_write(directory)
+        reads = [path.resolve() for path in reads] if directory.exists() else []
+        if inside := [path for path in reads if path.is_relative_to(directory.resolve())]:
+            raise SequenceError(
+                f"{inside[0]}: is read, and would be written to; expected another folder for the results"
+            )
+        directory.mkdir(parents=True, exist_ok=True)
+        for place in {path.parent for path in directory.rglob("*") if is_workspace(path.name)}:
+            clear_leftovers(place)
+        if (manifest := own_manifest(directory)) is not None and manifest["files"] is None:
+            return
+        entries = (entry.name for entry in sorted(directory.iterdir()))
+        names = [name for name in entries if not (is_workspace(name) or name == CACHE)]
+        if names and not overwrite:
+            raise SequenceError(
+                f"{given}: {short_list(names)}, expected an empty folder or one of `{command}`; --overwrite"
+                " uses it all the same"
+            )
+        if names and (around := [path for path in reads if directory.resolve().is_relative_to(path)]):
+            raise SequenceError(
+                f"{given}: {short_list(names)} and lies in {around[0]}, which is read; expected a new folder"
+            )
+        write_manifest(directory, command, None)
+
+
+def refuse_other(
+    path: Path,
+    kind: str,
+    is_of_kind: Callable[[Path], bool],
+    *,
+    reads: Iterable[Path] = (),
+    overwrite: bool = False,
+) -> None:
+    """Refuse an output file that is anything but what an earlier call of the same command wrote.
+
+    Args:
+        path: The output.
+        kind: Kind of the output, for the message.
+        is_of_kind: Whether an existing file is such a thing.
+        reads: Files and folders that the command reads; of no use where the output is new.
+        overwrite: Take any file but those, and but what lies in those folders.
+
+    Raises:
+        SequenceError: the output exists and is something else, is read, is part of results, or is a link to nothing.
+    """
+    path = followed(path)
+    place = path.resolve()
+    for read in (read.resolve() for read in (reads if path.exists() else ())):
+        if place == read:
+            raise SequenceError(f"{path}: is read, and would be written to; expected another file")
+        if place.is_relative_to(read) and not (path.is_file() and is_of_kind(path)):
+            raise SequenceError(f"{path}: lies in {read}, which is read, and is no {kind}; expected another file")
+    if overwrite or not path.is_file():
+        return
+    if not is_of_kind(path):
+        raise SequenceError(f"{path}: exists and is no {kind}, expected a new file or one; --overwrite replaces it")
+    manifest = own_manifest(path.parent)
+    if manifest is not None and path.name in (manifest["files"] or {}):
+        raise SequenceError(f"{path}: belongs to the results in its folder, expected another; --overwrite replaces it")
