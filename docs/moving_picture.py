@@ -19,7 +19,7 @@ from PIL import Image
 from sequences.reader import SequenceReader
 from sequences.recordings.bag import Bag
 from sequences.recordings.messages import pose_from_message, stamp_ns
-from vapor.reporting.colors import COLORS, FAINT, INK
+from vapor.reporting.drawing import COLORS, FAINT, INK
 
 _EVERY = 2  # images, ten a second
 _UNTIL_S = 20.0

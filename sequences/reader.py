@@ -13,28 +13,27 @@ from sequences.frame import Frame
 from sequences.options import OdometryUse, SequenceOptions, TruePoseUse
 from sequences.reading.camera_info import ImageCamera
 from sequences.reading.counts import ImageCounts
-from sequences.reading.frame_pairing import FramePairing
-from sequences.reading.motion_streams import MotionStreams
-from sequences.reading.requested_segment import LoggedSegment
+from sequences.reading.frame_pairing import FramePairing, MotionStreams
+from sequences.reading.motion import odometry_apart, true_poses_apart
 from sequences.reading.roles import Roles
-from sequences.reading.stamps import odometry_apart, odometry_sparse, true_poses_apart
-from sequences.reading.timeline import Dated, Timeline
+from sequences.reading.timeline import LoggedSegment, Timeline
 from sequences.recordings.bag import METADATA_NAME, Bag
+from sequences.trajectories.interpolation import MAX_ODOMETRY_GAP_S
 
 
 class SequenceReader:
-    """Frames of an MCAP file, rosbag2 folder or ROS 1 bag, read as a stream; every iteration reads it anew.
+    """Frames of an MCAP file, rosbag2 folder or ROS 1 bag, read as a stream; every iteration reads it again.
 
     Attributes:
         path: The file or folder.
-        counts: What became of the images of the latest iteration; complete after it.
-        across_jumps: How many frames of the latest iteration have no true pose as it jumps about them.
+        counts: Counts of the images of the latest iteration; complete after it.
+        across_jumps: Frames of the latest iteration without a true pose because it jumps about them.
         notices: What a person should know of the camera, the odometry and the true poses; complete after an iteration.
         camera: Intrinsics of the undistorted images, as the file states their size; None where it has none.
         base_from_camera: Extrinsics, one pose; None where odometry is not read.
-        num_images: Images in the file, all of it: for progress.
-        image_description: What the file says of its images, as `synthetic`; None where it says nothing.
-        odometry_description: What the file says of where its odometry comes from; None where it says nothing.
+        num_images: Images in the whole file, for progress.
+        image_description: Origin of the images by the file's metadata, as `synthetic`; None where it states none.
+        odometry_description: Origin of the odometry, likewise.
     """
 
     def __init__(
@@ -51,15 +50,13 @@ class SequenceReader:
             path: MCAP file, rosbag2 folder or ROS 1 bag.
             options: What to read; None for all of it, as found.
             odometry: "required" reads it, and skips the images that it does not cover. "optional" gives images it where
-                it can be found, without a choice to make, and skips none for lack of it. "unread" leaves it alone.
-            true_poses: "required" fails, and says what could be chosen, where none are found by themselves, and where
-                none of them is of the time of an image. "optional" does without.
+                it can be found, without a choice to make, and skips none for lack of it. "unread" ignores it.
+            true_poses: "required" fails where none are found, with the candidates, and where none is of the time of an
+                image. "optional" does without.
 
         Raises:
-            SequenceError: the file is damaged, the metadata.yaml of a folder states another number of images than its
-                files, a topic is missing or ambiguous, no transform leads from the odometry's or the true poses' child
-                frame to the camera, what an option names for true poses gives none, or the intrinsics or the distortion
-                are none of a camera.
+            SequenceError: the file is damaged or lacks images, a topic is missing or ambiguous, tf does not lead to the
+                camera, named true poses are unusable, or the intrinsics or the distortion are impossible.
         """
         self.path = Path(path)
         self.across_jumps = 0
@@ -91,7 +88,7 @@ class SequenceReader:
 
     @property
     def resolved(self) -> dict[str, Any]:
-        """The options that say what to read, as they were found: topics, and the extrinsics; '' and None for none."""
+        """The options that would read the same: topics and extrinsics; '' and None for none."""
         r = self._roles
         topics = {"image": r.image, "odometry": r.odometry, "camera_info": r.camera_info}
         extrinsics, poses = self.base_from_camera, self._options.poses
@@ -112,20 +109,18 @@ class SequenceReader:
         """Frames in order of time.
 
         The stamps of the whole recording are read first, to know where clocks were set and how late messages lie; then
-        the images one after the other, and beside them each other topic as far as an image needs it. What lies behind
-        the segment asked for is not decoded, but counted.
+        the images one after the other, and beside them each other topic as far as an image needs it. Messages behind
+        the segment asked for are counted without being decoded.
 
         Raises:
-            SequenceError: the file is damaged or has not all of the messages that it states, an image is neither used
-                nor skipped, no image is left, all stamps are equal, a camera that should be fixed moves, more odometry
-                than not cannot be used, or true poses are required and none is of the time of an image.
+            SequenceError: the file is damaged or lacks messages, no image is left, an image is unaccounted for, all
+                stamps are equal, a fixed camera moves, more than half of the odometry cannot be used, or true poses
+                are required and none is of the time of an image.
         """
         roles, timeline = self._roles, self._survey()
         images = timeline.streams.get(("", roles.image.name))
         pairing = FramePairing(
-            self.path,
             roles,
-            self._options,
             self._image_camera,
             self.num_images,
             begin_ns=0 if images is None else images.begin_ns,
@@ -134,22 +129,10 @@ class SequenceReader:
         motion, self._pairing = pairing.motion, pairing
         self.counts, self._skipped_messages = pairing.left_out.counts, pairing.left_out.messages
         self.across_jumps, self.notices = 0, [*self._found_notices, *timeline.notices]
-
-        def take(dated: Dated) -> None:
-            if dated.num_odd:
-                pairing.leave_out_odd(dated.raw, dated.num_odd)
-            if dated.stamps_ns or not dated.num_odd:
-                pairing.take(dated.raw, dated.message)
-
-        def forget_before(time_ns: int) -> None:
-            if pairing.previous_ns is None:  # else odometry since then will be asked for
-                motion.forget_before(time_ns)
-
         beside = {topic: links for topic, links in roles.watched.items() if topic != roles.image.name}
-        streams = MotionStreams(timeline, beside, take, reaches=motion.reaches, forget_before=forget_before)
-        pairing.come_to = streams.read_until
+        streams = MotionStreams(timeline, beside, pairing)
         for dated in timeline.messages(roles.image.name, until=lambda _: pairing.is_over):
-            take(dated)
+            pairing.take_dated(dated)
             for frame in pairing.ready_frames():
                 self.across_jumps = motion.across_jumps
                 yield frame
@@ -174,33 +157,40 @@ class SequenceReader:
         return self._timeline
 
     def _judge(self, pairing: FramePairing, timeline: Timeline) -> None:
-        """Say what a person should know of what was read; raise SequenceError where nothing is to be made of it."""
+        """Add the notices of what was read. Raises SequenceError where nothing is usable."""
         roles, motion = self._roles, pairing.motion
         images, odometry = timeline.span_ns([("", roles.image.name)]), timeline.span_ns(roles.odometry_keys)
-        sparse = odometry_sparse(roles.odometry_said, timeline.spacing_s(roles.odometry_keys))
-        said = [told for told in (odometry_apart(images, odometry), sparse) if told is not None]
+        spacing_s = timeline.spacing_s(roles.odometry_keys)
+        notices = [notice for notice in [odometry_apart(images, odometry)] if notice is not None]
+        if spacing_s > MAX_ODOMETRY_GAP_S:
+            notices.append(
+                f"odometry of {roles.odometry_label} comes every {spacing_s:.2g} s: no motion is known over gaps of"
+                f" more than {MAX_ODOMETRY_GAP_S:g} s, expected a topic with denser odometry (--odometry-topic,"
+                " --odometry-frame)"
+            )
         for what, unusable in motion.unusable.items():
             if roles.odometry_required if what == "poses of odometry" else roles.truth_required:
                 unusable.require_few(self.path)
-            said += unusable.notices
+            notices += unusable.notices
         if self.counts.used == 0 and (apart := odometry_apart(images, odometry)) is not None:
             raise SequenceError(f"{self.path}: no image has odometry: {apart}")
         if self.counts.used == 0:
             found = ", ".join(f"{count} × {reason}" for reason, count in self.skipped.items()) or "nothing was skipped"
+            problem = next(iter(pairing.left_out.problems.values()), "")
             raise SequenceError(
                 f"{self.path}: no image left of {self.num_images} on {roles.image.name}: {found}"
-                f"{pairing.left_out.first_problem}; {'; '.join([*said, 'expected at least one that can be used'])}"
+                f"{problem}; {'; '.join([*notices, 'expected at least one that can be used'])}"
             )
-        self.notices += said
+        self.notices += notices
         if motion.has_no_true_pose and pairing.frames_span_ns is not None and roles.truth is not None:
             span = motion.true_poses_span_ns if roles.truth_keys == [] else timeline.span_ns(roles.truth_keys)
-            apart = true_poses_apart(roles.truth.said, span, pairing.frames_span_ns)
+            apart = true_poses_apart(roles.truth.label, span, pairing.frames_span_ns)
             if roles.truth_required:
                 raise SequenceError(f"{self.path}: {apart}")
             self.notices.append(apart)
         self.notices += [*self._image_camera.notices, *motion.jumps()]
 
     def stop(self) -> None:
-        """Ask for no more frames of the latest iteration: it ends where it is resumed, once the rest was counted."""
+        """End the latest iteration: resumed, it only counts the rest."""
         if self._pairing is not None:
             self._pairing.segment.is_stopped = True

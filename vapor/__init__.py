@@ -1,7 +1,7 @@
 """Where is the camera, and how sure is that? Learned pose posteriors and odometry -> a particle filter on SE(3).
 
-What is listed in `__all__` is public: its meaning changes only with a line in CHANGELOG.md. Names are imported when
-they are used, so that `import vapor` takes no time and loads no torch.
+Names in `__all__` are public: their meaning changes only with a line in CHANGELOG.md. They are imported on use, so that
+`import vapor` takes no time and loads no torch.
 """
 
 # Nothing is imported here: the command starts by this file, and takes the signals before it imports anything.
@@ -64,7 +64,7 @@ _MODULES = {
 __all__ = [*_MODULES]  # pyright: ignore[reportUnsupportedDunderAll]
 
 
-if not TYPE_CHECKING:  # which shall tell of a name that is misspelt
+if not TYPE_CHECKING:  # a checker reports misspelt names
 
     def __getattr__(name: str) -> object:
         if name not in _MODULES:

@@ -1,4 +1,4 @@
-"""Results cached in files named by the settings they depend on, the code among them: computed once, found again."""
+"""Results cached in files that are named by their settings, the code among them."""
 
 from __future__ import annotations
 
@@ -18,18 +18,15 @@ from vapor.threads import limited_threads
 
 
 def digest(settings: Mapping[str, Any]) -> str:
-    """Ten characters that other settings almost certainly do not have."""
+    """A hash of settings, ten characters."""
     text = json.dumps(settings, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:10]
 
 
 def cached(path: Path, settings: Mapping[str, Any], compute: Callable[[], Any]) -> Any:
-    """A result, or the cached one if there is one with the same settings.
+    """The result of `compute`, called with one thread, or the cached one of the same settings; all are JSON.
 
-    Args:
-        path: The file, without the digest of the settings and `.json`.
-        settings: Everything that the result depends on, as JSON.
-        compute: Returns the result, as JSON; called with one thread.
+    The path is that of the file, without the digest of the settings and `.json`.
     """
     file = path.with_name(f"{path.name}-{digest(settings)}.json")
     try:
@@ -47,7 +44,7 @@ def cached(path: Path, settings: Mapping[str, Any], compute: Callable[[], Any]) 
 
 @cache
 def code_digest(*names: str) -> str:
-    """Digest of the code of the filter, and of modules and packages by name: what was changed is run again."""
+    """Digest of the code of the filter, and of modules and packages by name."""
     files = [file for name in ("filtering", *names) for file in _files(name)]
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16]
 

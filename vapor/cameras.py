@@ -1,4 +1,4 @@
-"""Images of any pinhole camera -> the images that the camera a network learned with would have taken."""
+"""Images of any pinhole camera -> images as the training camera would have taken them."""
 
 from __future__ import annotations
 
@@ -13,22 +13,16 @@ from sequences.images.undistortion import undistorted
 from vapor.images import cover_size
 
 _SAME_PX = 0.5  # of the images that a network sees: too little for a network to notice
-_LEAST_FRACTION = 0.8  # of the view, below which a notice says so
+_LEAST_FRACTION = 0.8  # of the view, below which there is a notice
 _SAME_ASPECT = 0.02
 
 
 class AsTakenBy:
-    """Images as one camera would have taken them, whichever camera took them.
+    """Images as one camera would have taken them, whichever camera took them; unchanged where that camera is unknown.
 
-    What the other camera did not see is filled with the colours of its border, which disturbs a network least: with
-    black it sees things that are not there, and enlarging the image instead makes everything seem nearer.
-
-    Attributes:
-        camera: That camera, None where unknown: then images stay as they are.
-        frame_size: As given.
-        cameras: How many images so far were of each camera whose view differs from that of this one.
-        least_fraction: How much of that camera's view was seen by the one that saw least of it.
-        notices: What a person should know of the images so far, each once.
+    Parts that the other camera did not see are filled with the colours of its border, which disturbs a network least:
+    black looks like objects, and enlarging the image makes everything seem nearer. Counts of cameras with another view,
+    and the smallest fraction of the view that any of them saw, are over the images so far.
     """
 
     def __init__(self, camera: Camera | None, frame_size: tuple[int, int]) -> None:
@@ -63,26 +57,26 @@ class AsTakenBy:
 
     @property
     def sees_less(self) -> bool:
-        """Whether images so far show much less than that camera would have seen; what is filled in looks foreign."""
+        """Whether images so far show much less than that camera would have seen; filled parts look foreign."""
         return self.least_fraction < _LEAST_FRACTION
 
     @property
     def notices(self) -> list[str]:
-        """What a person should know of the images so far, each once."""
+        """Warnings and hints on the images so far, each once."""
         if self.camera is None:
             return []
-        said = [
+        found = [
             f"{count} images of {width} x {height} pixels from a camera of unknown intrinsics: their middle is used,"
             f" but the camera learned with is {described(self.camera)}"
             for (width, height), count in self._aspects.items()
         ]
         if self.sees_less:
-            said.append(
+            found.append(
                 f"the camera ({described(next(iter(self.cameras)))}) sees {self.least_fraction:.0%} of what the camera"
                 f" learned with saw ({described(self.camera)}): expect larger errors, and certainty later;"
                 " none of its images is taken for one of another place"
             )
-        return said
+        return found
 
 
 def described(camera: Camera) -> str:
@@ -91,7 +85,7 @@ def described(camera: Camera) -> str:
 
 
 def fraction_seen(camera: Camera, *, of: Camera) -> float:
-    """How much of what the camera `of` sees another camera sees, as a fraction of its image."""
+    """Fraction of the image of the camera `of` that another camera sees."""
     low, high = _corners(camera, of)
     size = np.array([of.width, of.height])
     return float((np.minimum(high, size) - np.maximum(low, 0.0)).clip(0.0).prod() / size.prod())
@@ -100,13 +94,8 @@ def fraction_seen(camera: Camera, *, of: Camera) -> float:
 def resampled(image: UInt8[np.ndarray, "h w 3"], camera: Camera, like: Camera) -> UInt8[np.ndarray, "height width 3"]:
     """The image that another camera would have taken from the same place, looking the same way.
 
-    What shrinks is averaged over areas, what grows is interpolated. What the camera did not see has the colour of the
-    nearest pixel that it did see.
-
-    Args:
-        image: Of the camera's size.
-        camera: The camera that took it.
-        like: The other camera, which says the size.
+    It has the size of the other camera. Shrinking averages over areas, enlarging interpolates. Parts that the camera
+    did not see have the colour of the nearest pixel.
     """
     # Areas of whole pixels first; the rest, less than a pixel, is interpolated.
     size = (

@@ -33,7 +33,7 @@ def centre_crop(image: UInt8[np.ndarray, "h w *c"], width: int, height: int) -> 
 
 
 def prepare(image: np.ndarray, config: NetworkConfig) -> UInt8[np.ndarray, "image_height image_width 3"]:
-    """What the network sees of an RGB image in use: scaled to cover the frame that training crops from, its middle.
+    """The network's input of an RGB image in use: the middle of the image, scaled to the frame of training crops.
 
     Raises:
         VaporTrackError: the image is not (H, W, 3) uint8.

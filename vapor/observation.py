@@ -27,28 +27,28 @@ from vapor.landmarks.verify import LandmarkVerifier
 class VaporObservationModel:
     """A pose regressor as an observation model: one encoder pass and `num_samples` poses an image.
 
-    The filter takes the places among the samples, with the errors that the model's calibration found. Where the model
-    has a map of landmarks, places that these verify are known to centimetres.
+    The filter takes the places among the samples, with the errors of the model's calibration. Where the model has a map
+    of landmarks, places that these verify are known to centimetres.
 
-    All arithmetic is float32 if no other precision is asked for; the poses that leave are float64. The latent noise
-    comes from the caller's generator, so the same image, generator state, engine, machine and number of threads give
-    the same bits.
+    Arithmetic is float32 unless another precision is asked for; the poses that leave are float64. The latent noise
+    comes from the caller's generator: the same image, generator state, engine, machine and number of threads give the
+    same bits.
 
     Args:
         model: A trained model, or the description of one whose file the engine may look for.
         num_samples: Posterior samples per image.
         device: Where the network runs.
-        camera: The camera of the images, undistorted, such as `SequenceReader.camera`; None where unknown. Where its
-            view differs from that of the camera that the model learned with, images are resampled.
-        engine: What runs the network, see `EngineConfig`.
+        camera: The camera of the images, undistorted, such as `SequenceReader.camera`; None where unknown. Images are
+            resampled where its view differs from that of the training camera.
+        engine: See `EngineConfig`.
         precision: Of the network's arithmetic.
         threads: Processor threads of OpenVINO's network.
 
     Attributes:
-        description: What the model says of itself.
-        engine: What runs its network.
+        description: Of the model.
+        engine: Runs its network.
         camera: The camera of the images that come next.
-        verifier: What makes places sharp where landmarks are seen; None where the model has none.
+        verifier: Makes places sharp where landmarks are seen; None where the model has none.
         verifies: Whether landmarks are looked for in the images that come next.
     """
 
@@ -101,7 +101,7 @@ class VaporObservationModel:
         )
 
     def seen_by(self, camera: Camera | None) -> VaporObservationModel:
-        """The same model with the same network, for images of a camera; its notices begin anew."""
+        """The same model with the same network, for images of a camera, without notices so far."""
         other, model = copy(self), self.description
         other.camera, other._as_learned = camera, AsTakenBy(model.camera, model.network.frame_size)
         other.verifier = _verifier(model)
@@ -114,15 +114,11 @@ class VaporObservationModel:
 
     @property
     def notices(self) -> list[str]:
-        """What a person should know of the camera from the images observed so far."""
-        return [*self._as_learned.notices]
+        """Warnings and hints on the camera, from the images observed so far."""
+        return self._as_learned.notices
 
     def observe(self, image: np.ndarray, *, rng: np.random.Generator) -> PosePosterior:
-        """The posterior of one image, and how unlike the training images it is, from one pass of the network.
-
-        Args:
-            image: (H, W, 3) uint8 RGB of any size.
-            rng: Source of the latent noise ε.
+        """The posterior of one image, (H, W, 3) uint8 RGB of any size, from one pass of the network with latent noise.
 
         Raises:
             VaporTrackError: the image is not (H, W, 3) uint8.
@@ -133,7 +129,7 @@ class VaporObservationModel:
         return self.verifier.verify(image, self.camera, posterior)
 
     def propose(self, image: np.ndarray, *, rng: np.random.Generator) -> PosePosterior:
-        """The same by the network alone: what landmarks verify is left out."""
+        """The same by the network alone, without landmarks."""
         require_rgb(image)
         prepared = prepare(self._as_learned(image, self.camera), self.description.network)
         noise = rng.standard_normal((self.num_samples, self.engine.noise_dim), dtype=np.float32)
@@ -144,11 +140,7 @@ class VaporObservationModel:
         return PosePosterior.from_samples(samples, errors, unfamiliarity=unfamiliarity)
 
     def unfamiliarity(self, image: np.ndarray, camera: Camera | None) -> float:
-        """How unlike the training images an image is, as `PosePosterior.unfamiliarity`, whatever was observed before.
-
-        Args:
-            image: (H, W, 3) uint8 RGB of any size.
-            camera: The camera that took it; None where unknown.
+        """How unlike the training images an image of a camera is, as `PosePosterior.unfamiliarity`.
 
         Raises:
             VaporTrackError: the image is not (H, W, 3) uint8.
@@ -160,7 +152,7 @@ class VaporObservationModel:
         return self._unfamiliarity(self.engine.run(prepared, noise).description)
 
     def _unfamiliarity(self, description: np.ndarray) -> float:
-        """Score of an image by its description; 0 where the model does not say what is familiar."""
+        """Score of an image by its description; 0 where the model has no scores."""
         if self.description.familiarity is None:
             return 0.0
         score = float(self.description.familiarity.unfamiliarity(description[None])[0])

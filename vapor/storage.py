@@ -1,8 +1,8 @@
 """Files under a URL of any file system that fsspec knows (`s3://`, `gs://`), worked on as copies on this machine.
 
-A URL stands for a path in a folder of copies, the same on every call (`local_path`), and such a path for its URL
-(`url_of`). Whoever reads a file asks for it first (`fetched`), and whoever has finished one hands it on (`published`);
-with any other path neither does anything. So jobs work on ordinary files, and need no disk in common.
+A URL has a path in a folder of copies (`local_path`), and such a path has a URL (`url_of`). Code calls `fetched` before
+it reads a file, and `published` after it has written one; with any other path neither does anything. So jobs work on
+ordinary files, and need no common disk.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from filtering.errors import VaporTrackError
 from sequences.atomic import is_workspace, workspace
 
 _URL = re.compile(r"(?P<protocol>[a-z][a-z0-9+.-]*)://(?P<rest>.*)")
-_ROOT = "-"  # stands for the empty name before the first slash of file:///tmp
+_ROOT = "-"  # for the empty name before the first slash of file:///tmp
 _VERSIONS = ("ETag", "etag", "mtime", "LastModified", "last_modified", "created")
-"""What file systems call that which tells a file from an earlier one of its name."""
+"""Names of the version of a file in file systems."""
 
 
 class StorageError(VaporTrackError):
-    """Storage that cannot be used, or a URL that is none."""
+    """Storage that cannot be used, or an invalid URL."""
 
 
 def is_url(text: str) -> bool:
@@ -36,11 +36,7 @@ def is_url(text: str) -> bool:
 
 
 def local_path(url: str) -> Path:
-    """Where the copy of a file or a folder lies on this machine, whether it is there or not.
-
-    Raises:
-        StorageError: its path is not one of plain names.
-    """
+    """Path on this machine of the copy of a file or a folder; StorageError where the URL has other than plain names."""
     found = _URL.fullmatch(url)
     names = found["rest"].rstrip("/").split("/") if found else []
     names = [_ROOT, *names[1:]] if names[:1] == [""] and names[1:] else names
@@ -50,7 +46,7 @@ def local_path(url: str) -> Path:
 
 
 def url_of(path: Path) -> str | None:
-    """What a path is the copy of; None for an ordinary path."""
+    """The URL of a copy; None for an ordinary path."""
     copies = _copies()
     if not path.is_absolute() or not path.is_relative_to(copies):
         return None
@@ -59,7 +55,7 @@ def url_of(path: Path) -> str | None:
 
 
 def fetched(path: Path) -> Path:
-    """The same path, after a copy has been made what its URL is now: a file, a folder with all that is in it, or gone.
+    """The same path, after the copy was updated from its URL: a file, a folder with all its content, or removed.
 
     Raises:
         StorageError: the storage cannot be reached, or there is no room here.
@@ -84,11 +80,9 @@ def fetched(path: Path) -> Path:
 
 
 def published(path: Path, *, last: str = "") -> None:
-    """Write a copy that is finished to its URL: a file, or those files of a folder that are not there already.
+    """Write a finished copy to its URL: a file, or those files of a folder that are not there already.
 
-    Args:
-        path: The copy; of any other path nothing is done.
-        last: Name of the file of a folder that says that it is complete.
+    The file with the name `last` marks a folder as complete. Any other path is left alone.
 
     Raises:
         StorageError: the storage cannot be reached or written to.
@@ -104,11 +98,7 @@ def published(path: Path, *, last: str = "") -> None:
 
 
 def withdrawn(path: Path) -> None:
-    """Remove a file, and what it is the copy of.
-
-    Raises:
-        StorageError: the storage cannot be reached or written to.
-    """
+    """Remove a file, and the file of its URL; StorageError where the storage cannot be reached or written to."""
     path.unlink(missing_ok=True)
     if url_of(path) is not None and _files(path):
         with _asking(path) as (system, name):
@@ -116,29 +106,24 @@ def withdrawn(path: Path) -> None:
 
 
 def listed(path: Path) -> list[Path]:
-    """The files under the URL of a copy, in its folder and deeper, as paths of copies; a file is one itself.
-
-    Raises:
-        StorageError: the storage cannot be reached.
-    """
+    """Paths of the copies of all files under the URL of a copy; StorageError where the storage cannot be reached."""
     return sorted(_files(path))
 
 
 def absent(files: Iterable[Path], folder: Path) -> set[Path]:
-    """Those of some files in a folder that are not there; storage is asked once for all."""
+    """Files that are missing in a folder; storage is asked once for all."""
     if url_of(folder) is None:
         return {file for file in files if not file.exists()}
     return set(files).difference(_files(folder))
 
 
 def _copies() -> Path:
-    """Folder of all copies on this machine, which may be removed whenever nothing runs."""
+    """Folder of all copies on this machine; it may be removed whenever nothing runs."""
     cache = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
     return Path(os.path.abspath(os.path.expanduser(cache))) / "vapor-track"
 
 
 def _own_files(path: Path) -> list[Path]:
-    """The copies that are here: a file, or those in a folder and deeper."""
     if not path.is_dir():
         return [path]
     inside = (file for file in path.rglob("*") if not any(map(is_workspace, file.relative_to(path).parts)))
@@ -146,7 +131,7 @@ def _own_files(path: Path) -> list[Path]:
 
 
 def _files(path: Path) -> dict[Path, Mapping[str, Any]]:
-    """What the storage says of a file, or of all files of a folder, by the paths of their copies."""
+    """Properties in storage of a file, or of all files of a folder, by the paths of their copies."""
     with _asking(path) as (system, name):
         system.invalidate_cache()  # others write there, too
         try:
@@ -170,7 +155,7 @@ def _is_current(file: Path, about: Mapping[str, Any]) -> bool:
 
 
 def _mark(file: Path, about: Mapping[str, Any]) -> None:
-    """Let the time of change of a copy stand for its version: it is the same wherever a file is copied to."""
+    # The time of change marks the version: it is the same wherever a file is copied to.
     version_ns = _version_ns(about)
     os.utime(file, ns=(version_ns, version_ns))
 

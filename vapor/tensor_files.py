@@ -1,7 +1,4 @@
-"""Files of tensors: safetensors with a checksum over all their content, for models and states of training runs.
-
-They are read without torch; `StoredTensor.tensor` makes one of torch's where it is asked for.
-"""
+"""Safetensors files with a checksum over all their content, for models and states of training runs."""
 
 from __future__ import annotations
 
@@ -38,7 +35,7 @@ _TYPES: Mapping[str, str] = MappingProxyType(
         "F8_E8M0": "float8_e8m0fnu",
     }
 )
-"""What safetensors call a type -> what torch calls it."""
+"""Names of types in safetensors -> in torch."""
 FLOATS = "float16", "bfloat16", "float32", "float64"
 
 
@@ -48,27 +45,21 @@ class CheckpointError(VaporTrackError):
 
 @dataclass(frozen=True)
 class StoredTensor:
-    """A tensor as a file has it.
-
-    Attributes:
-        dtype: Type by torch's name, such as float32.
-        shape: Sizes.
-        data: Bytes, row by row.
-    """
+    """A tensor of a file, without torch: type by torch's name, such as float32, and bytes row by row."""
 
     dtype: str
     shape: tuple[int, ...]
     data: bytes | bytearray
 
     def array(self) -> np.ndarray:
-        """As numpy has it; bfloat16, which numpy has not, as float32. A copy."""
+        """A copy as an array; bfloat16, which numpy lacks, becomes float32."""
         if self.dtype == "bfloat16":
             wide = np.frombuffer(self.data, np.uint16).astype(np.uint32) << 16
             return wide.view(np.float32).reshape(self.shape)
         return np.frombuffer(self.data, self.dtype).reshape(self.shape).copy()
 
     def tensor(self) -> Tensor:
-        """As torch has it, on the CPU. A copy."""
+        """A copy as a tensor of torch on the CPU."""
         import torch
 
         if not self.data:
@@ -78,12 +69,7 @@ class StoredTensor:
 
 
 def write_safetensors(path: Path, tensors: Mapping[str, Tensor], metadata: Mapping[str, str]) -> None:
-    """Write a file with its checksum, complete or not at all.
-
-    Args:
-        path: A file name, usually *.safetensors.
-        tensors: Any, on the CPU.
-        metadata: Its other content; a checksum in it is that of another file, and left out.
+    """Write tensors on the CPU with a checksum, complete or not at all; a checksum in the metadata is replaced.
 
     Raises:
         SequenceError: the folder is missing, or cannot be written to.
@@ -109,9 +95,7 @@ def arrays_as_bytes(arrays: Mapping[str, np.ndarray], metadata: Mapping[str, str
 
 
 def read_safetensors(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:
-    """Metadata and tensors of a safetensors file, on the CPU, once its checksum was found to fit.
-
-    A file of others, without a checksum, is taken as it is.
+    """Metadata and tensors of a safetensors file, on the CPU; a file of others needs no checksum.
 
     Raises:
         CheckpointError: no such file, no safetensors file, or a damaged one.
@@ -134,20 +118,20 @@ def read_stored(path: Path) -> tuple[dict[str, str], dict[str, StoredTensor]]:
 def parse_stored(path: Path, content: bytes) -> tuple[dict[str, str], dict[str, StoredTensor]]:
     """The same of the content of a file; its path is for messages."""
     try:
-        parts = deserialize(content)
+        stored = deserialize(content)
         header = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])
     except (SafetensorError, ValueError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise CheckpointError(f"{path}: cannot be read ({reason}), expected a safetensors file") from error
     metadata: dict[str, str] = header.get("__metadata__") or {}
     tensors: dict[str, StoredTensor] = {}
-    for name, part in parts:
+    for name, part in stored:
         if part["dtype"] not in _TYPES:
             raise CheckpointError(f"{path}: tensor {name} is of {part['dtype']}, expected one of {', '.join(_TYPES)}")
         tensors[name] = StoredTensor(_TYPES[part["dtype"]], tuple(part["shape"]), part["data"])
-    said = ((name, value.dtype, value.shape, value.data) for name, value in tensors.items())
+    parts = ((name, value.dtype, value.shape, value.data) for name, value in tensors.items())
     has_checksum = CHECKSUM in metadata or metadata.get("format", "").startswith(_OURS)
-    if has_checksum and metadata.get(CHECKSUM) != _sha256(said, metadata):
+    if has_checksum and metadata.get(CHECKSUM) != _sha256(parts, metadata):
         raise CheckpointError(
             f"{path}: damaged: its tensors or settings do not match its checksum, expected the file as it was written"
         )
@@ -155,7 +139,7 @@ def parse_stored(path: Path, content: bytes) -> tuple[dict[str, str], dict[str, 
 
 
 def format_of(path: Path) -> str | None:
-    """What a safetensors file says that it is; None where it says nothing, or is none."""
+    """The `format` in the metadata of a safetensors file; None without one, or for another file."""
     try:
         with safe_open(path, framework="np") as file:
             return (file.metadata() or {}).get("format")
@@ -167,24 +151,21 @@ def content_sha256(tensors: Mapping[str, Tensor], metadata: Mapping[str, str]) -
     """SHA-256 of names, types, shapes and bytes of all tensors, and of all metadata but the checksum itself."""
     import torch
 
-    return _sha256(
+    parts = (
         (
-            (
-                name,
-                str(tensor.dtype).removeprefix("torch."),
-                tensor.shape,
-                tensor.reshape(-1).view(torch.uint8).numpy().data,
-            )
-            for name, tensor in tensors.items()
-        ),
-        metadata,
+            name,
+            str(tensor.dtype).removeprefix("torch."),
+            tensor.shape,
+            tensor.reshape(-1).view(torch.uint8).numpy().data,
+        )
+        for name, tensor in tensors.items()
     )
+    return _sha256(parts, metadata)
 
 
 def _sha256(parts: Iterable[tuple[str, str, Iterable[int], Any]], metadata: Mapping[str, str]) -> str:
-    """Of names, types by torch's names, shapes and bytes."""
-    said = {name: value for name, value in metadata.items() if name != CHECKSUM}
-    digest = hashlib.sha256(json.dumps(said, sort_keys=True).encode())
+    others = {name: value for name, value in metadata.items() if name != CHECKSUM}
+    digest = hashlib.sha256(json.dumps(others, sort_keys=True).encode())
     for name, dtype, shape, data in sorted(parts, key=lambda part: part[0]):
         digest.update(json.dumps([name, f"torch.{dtype}", list(shape)]).encode())
         digest.update(data)

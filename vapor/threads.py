@@ -1,4 +1,4 @@
-"""How many processor threads the arithmetic may use."""
+"""Limits of processor threads."""
 
 from __future__ import annotations
 
@@ -16,10 +16,8 @@ _unlimited: list[int] = []  # how many threads torch had outside of them, once i
 def limited_threads(network: int) -> Iterator[None]:
     """Limit the network to `network` threads, and linear algebra to one, inside a `with` block.
 
-    The filter's matrix products take well under a millisecond: threads that wait for each other gain nothing, and on
-    a shared processor they made a step ten times slower.
-
-    Torch is not loaded for that: code within the block that is the first to load it calls `limit_torch`.
+    The filter's matrix products take well under a millisecond: on a shared processor, threads that wait for each other
+    made a step ten times slower. Torch is not loaded here: code within the block that loads it calls `limit_torch`.
     """
     _limits.append(network)
     limit_torch()

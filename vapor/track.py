@@ -1,4 +1,4 @@
-"""The command `vapor-track`: it finds the command asked for, and turns errors into one line and an exit status."""
+"""The program `vapor-track`: it runs a command, and turns errors into one line and an exit status."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import sys
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from vapor.commands.signals import Signals
+    from vapor.commands.terminal import Signals
 
 COMMANDS = {
     "run": "localize the camera of a recorded sequence",
@@ -16,7 +16,7 @@ COMMANDS = {
     "replay": "publish a recording as ROS 2 topics, in real time",
     "demo": "synthesize a sequence, localize in it with a model that ships, and compare",
     "fuse": "localize from pose estimates of others, given as text, and odometry",
-    "inspect": "say of recordings whether they are good enough to train on, and what to record again",
+    "inspect": "judge whether recordings are good enough to train on, and what to record again",
     "train": "train a pose regressor on sequences or data sets with true poses",
     "calibrate": "calibrate a trained model on held-out sequences with true poses",
     "export": "write a trained model as an ONNX file, for robots without torch",
@@ -32,7 +32,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the command line.
 
     Args:
-        arguments: Words after `vapor-track`; None for the process's own, which signals then end as `Signals` says.
+        arguments: Words after `vapor-track`; None for the process's own, whose signals are then handled (`Signals`).
 
     Returns:
         Exit status: 0 on success, 1 for input that cannot be used, 2 for wrong arguments, 128 + n when ended by signal
@@ -43,22 +43,10 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def run_program(program: str, about: str, commands: dict[str, str], package: str, arguments: list[str] | None) -> int:
-    """Run the command line of a program that has commands.
-
-    Args:
-        program: As it is typed.
-        about: What it is for, a sentence.
-        commands: What each does, by name.
-        package: Where they are: modules of their names that have a `main`.
-        arguments: As for `main`.
-
-    Returns:
-        Exit status, as `main`.
-    """
+    """Run the command line of a program, whose commands are modules of a package that have a `main`; as `main`."""
     if arguments is None and _signal.getsignal(_signal.SIGINT) is _signal.default_int_handler:
         _signal.signal(_signal.SIGINT, _signal.SIG_DFL)  # ends the process as SIGTERM does, until `take` below
-    from vapor.commands.signals import Signals
-    from vapor.commands.terminal import encode_anything, flush_output, overview, say, wrapped, write
+    from vapor.commands.terminal import Signals, encode_anything, flush_output, overview, say, wrapped, write
 
     words = list(sys.argv[1:] if arguments is None else arguments)
     prefix = " ".join([program, *(word for word in words[:1] if word in commands)])
@@ -80,7 +68,7 @@ def run_program(program: str, about: str, commands: dict[str, str], package: str
     except BaseException as error:
         signals.working = False
         if signals.received is not None or isinstance(error, KeyboardInterrupt):
-            return signals.tell()
+            return signals.report()
         if (failure := _failure(error)) is None:
             raise
         say(f"{prefix}: {failure}")
@@ -90,7 +78,6 @@ def run_program(program: str, about: str, commands: dict[str, str], package: str
 
 
 def _run(program: str, commands: dict[str, str], package: str, words: list[str], signals: Signals) -> int:
-    """Run the command that the words name; gives the exit status."""
     import importlib
 
     from filtering.errors import shortened
@@ -111,23 +98,19 @@ def _run(program: str, commands: dict[str, str], package: str, words: list[str],
 
 
 def _failure(error: BaseException) -> str | None:
-    """What to say about an error that is not a defect of the program; None for any other."""
+    """Message of an error that is not a defect of the program; None for any other. By names, as torch may be absent."""
     from filtering.errors import VaporTrackError
 
     if isinstance(error, VaporTrackError):
         return str(error)
     if isinstance(error, OSError):
         return f"{error.filename or 'file'}: {error.strerror or error}"
-    return _shortage(error) if isinstance(error, (MemoryError, RuntimeError)) else None
-
-
-def _shortage(error: Exception) -> str | None:
-    """What to say if the machine is too small; None for any other error. By names, as torch may not be loaded."""
     kind, text = type(error).__name__, str(error).lower()
     if kind in ("BrokenProcessPool", "TerminatedWorkerError"):
         return "a worker process ended unexpectedly, perhaps for lack of memory; fewer --workers need less"
     signs = ("not enough memory", "can't allocate memory", "out of memory")
-    if isinstance(error, MemoryError) or kind == "OutOfMemoryError" or any(sign in text for sign in signs):
+    is_short = kind == "OutOfMemoryError" or (isinstance(error, RuntimeError) and any(sign in text for sign in signs))
+    if isinstance(error, MemoryError) or is_short:
         return "not enough memory; smaller images, batches or numbers of samples and particles need less"
     return None
 

@@ -1,4 +1,4 @@
-"""How to read files of estimates, as a person states it."""
+"""Options: how to read files of estimates."""
 
 from __future__ import annotations
 

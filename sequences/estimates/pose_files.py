@@ -20,21 +20,15 @@ from sequences.trajectories.pose_tables import read_pose_table
 from sequences.values import is_number, natural, parse_frame_number, parse_number
 
 Direction = Literal["world-to-camera", "camera-to-world"]
-"""Which way the poses of a file map points."""
-
 FramesBy = Literal["names", "stamped names", "stamps"]
-"""What frames go by: names that hold a number, names that are stamps (`cam0/1403636579763555584.png`), or stamps."""
-
-COLUMNS = "name qw qx qy qz tx ty tz"
-"""Columns of named frames where no others are stated."""
+"""Names of frames: with a number, with a stamp (`cam0/1403636579763555584.png`), or stamps alone."""
+_COLUMNS = "name qw qx qy qz tx ty tz"
 
 
 class FrameName(NamedTuple):
-    """One frame of one sequence.
+    """One frame: its sequence, and its number in it; or an empty sequence and its stamp in integer nanoseconds.
 
-    Attributes:
-        sequence: What its name begins with, up to the number, such as `seq-01/frame-`; empty where frames are timed.
-        number: Its number in the sequence, or its stamp in integer nanoseconds.
+    The sequence is the name up to the number, such as `seq-01/frame-`.
     """
 
     sequence: str
@@ -43,15 +37,10 @@ class FrameName(NamedTuple):
 
 @dataclass(frozen=True)
 class PoseFile:
-    """Poses of frames, sequence by sequence and in the order of their numbers.
+    """Poses of n frames, world_from_camera, sequence by sequence and in the order of their numbers.
 
-    Attributes:
-        path: The file.
-        timed: Whether the frames are named by their stamps.
-        frames: Of each of n poses; no two the same, but where poses have weights: those of a frame are then several
-            hypotheses, in the order of the file.
-        poses: world_from_camera, batch (n,).
-        weights: Of the poses, above 0; None where the file states none, (n,).
+    `timed` frames are named by their stamps. Only with weights (n,), above 0, may a frame have several poses; they are
+    in the order of the file.
     """
 
     path: Path
@@ -67,30 +56,27 @@ def read_poses(
     """Read poses of named frames, or a table of poses by time.
 
     Lines are `name qw qx qy qz tx ty tz`, in any order, with further columns ignored: the format of published 7-Scenes
-    estimates. The last number before the first dot of a name's last part is the frame's; what stands before it names
-    the sequence. Names that are stamps, as EuRoC's (`cam0/1403636579763555584.png`, nanoseconds) and TUM's
-    (`rgb/1305031102.175304.png`, seconds), are read as such. Where the first line begins with a number, the file is a
-    table of camera-to-world poses by time, as `read_pose_table` takes it. Lines that start with # are comments.
+    estimates. The last number before the first dot of a name's last part is the frame's; the text before it names the
+    sequence. Names that are stamps, as of EuRoC (`cam0/1403636579763555584.png`, nanoseconds) and TUM
+    (`rgb/1305031102.175304.png`, seconds), are read as stamps. Where the first line begins with a number, the file is a
+    table of camera-to-world poses by time, see `read_pose_table`. Lines that start with # are comments.
 
-    Other columns are stated by their names, as `Columns` has them, such as `name qw qx qy qz tx ty tz _ _ weight`:
-    `time` in place of `name` for frames that are camera-to-world and named by their stamps. With a `weight`, such as
-    the number of inliers, a frame may have several lines: they are its hypotheses. Lines with a weight of 0 are left
-    out.
+    Other columns are given by their names, see `Columns`, such as `name qw qx qy qz tx ty tz _ _ weight`; `time` in
+    place of `name` for camera-to-world poses by stamps. With a `weight`, such as the number of inliers, a frame may
+    have several lines, its hypotheses. Lines with a weight of 0 are left out.
 
     Args:
         path: The file.
-        direction: Which way the poses of named frames map; without it only frames with stamps can be read.
-        columns: Names of the columns; None for those of named frames or of a table, as the first line has it.
-        rows: Counts the lines that cannot be used, which are left out; None where one of them is an error.
+        direction: Direction of the poses of named frames; without it only frames with stamps can be read.
+        columns: Names of the columns; None for the default ones.
+        rows: Counts unusable lines, which are left out; None where one of them is an error.
 
     Raises:
-        SequenceError: the columns are none; the file is missing or empty, a line has too few columns or others than the
-            first, no number where one belongs, a value that is not finite, a quaternion without length or a negative
-            weight, or names the same frame as an earlier one without having a weight; or the direction is missing, or
-            contradicts stamps.
+        SequenceError: unknown columns; a missing or empty file; an unusable line, or a frame repeated without weights;
+            or a direction that is missing or contradicts stamps.
     """
     path, rows = Path(path), rows or Rows(tolerant=False)
-    names = Columns(COLUMNS if columns is None else columns)
+    names = Columns(_COLUMNS if columns is None else columns)
     first = _first_row(path, columns)
     if columns is None and is_number(fields_of(first[1])[0]):
         _require_camera_to_world(path, direction, "poses by time")
@@ -138,7 +124,7 @@ class _Row(NamedTuple):
 
 
 def _read_row(line: str, where: str, columns: Columns, stamped: bool, first: tuple[int, str]) -> _Row:
-    """What a line says of a frame, which has as many columns as the first line; no pose where its weight is 0."""
+    """The frame of a line with as many columns as the first line; no pose where its weight is 0."""
     fields, num_columns = columns.read(line, where), len(fields_of(line))
     if num_columns != len(fields_of(first[1])):
         raise SequenceError(f"{where}: {num_columns} columns, expected as many as on line {first[0]}")
@@ -151,25 +137,21 @@ def _read_row(line: str, where: str, columns: Columns, stamped: bool, first: tup
 
 
 def _first_row(path: Path, columns: str | None) -> tuple[int, str]:
-    """Number and text of the first usual line. Raises SequenceError where there is none, or the file cannot be read."""
+    """Number and text of the first usual line. Raises SequenceError where there is none."""
     found = typical(pose_rows(path))
     if found is None:
-        expected = f"`{COLUMNS}`, or of a trajectory" if columns is None else f"`{columns}`"
+        expected = f"`{_COLUMNS}`, or of a trajectory" if columns is None else f"`{columns}`"
         raise SequenceError(f"{path}: no poses, expected lines of {expected}")
     return found
 
 
 def frames_by(path: Path, columns: str | None = None) -> tuple[FramesBy, str]:
-    """How the first line of a file names its frame, as `read_poses` takes it, and that name.
-
-    Raises:
-        SequenceError: the file cannot be read, or holds no poses.
-    """
+    """How the first line of a file names its frame, and that name. Raises SequenceError where it has no poses."""
     line = _first_row(path, columns)[1]
     fields = fields_of(line)
     if columns is None and is_number(fields[0]):
         return "stamps", fields[0]
-    names = Columns(COLUMNS if columns is None else columns)
+    names = Columns(_COLUMNS if columns is None else columns)
     name = fields[names.frame] if names.frame < len(fields) else ""
     if names.timed:
         return "stamps", name

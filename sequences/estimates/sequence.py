@@ -8,57 +8,82 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Shaped
+from jaxtyping import Float64, Int64, Shaped
 
 from filtering.errors import quoted
+from filtering.motion import MotionNoise, Odometry
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.estimates.options import EstimateOptions
 from sequences.estimates.pose_files import FrameName, PoseFile, frames_by, natural_order, read_poses
-from sequences.estimates.tracks import OdometryTrack, frame_stamps
 from sequences.files.rows import Rows
 from sequences.frame import BASE_FROM_CAMERA, Frame, Trajectory
 from sequences.odometry import simulate_odometry
-from sequences.reading.counts import NO_ESTIMATE, ImageCounts
-from sequences.trajectories.interpolation import MAX_TRUE_POSE_GAP_S, interpolate
+from sequences.reading.counts import NO_ESTIMATE, ImageCounts, uncovered
+from sequences.trajectories.increments import odometry_between
+from sequences.trajectories.interpolation import MAX_ODOMETRY_GAP_S, MAX_TRUE_POSE_GAP_S, interpolate
 
 HYPOTHESIS = np.dtype([("file", np.int64), ("weight", np.float64), ("world_from_camera", np.float64, (4, 4))])
-"""What a file says of a frame: number of the file from 0, weight above 0 in any unit, homogeneous matrix."""
-
-NO_ODOMETRY = "no odometry of its sequence"
+"""One hypothesis of a frame: number of the file from 0, weight above 0 in any unit, homogeneous matrix."""
+_NO_ODOMETRY = "no odometry of its sequence"
 _SAME_CLOCK_S = 0.05
 _NO_IMAGE = np.zeros((0, 0, 3), np.uint8)
 
 
 @dataclass(frozen=True)
 class EstimatedFrame(Frame):
-    """A frame of which estimates are known instead of the image, which is empty.
+    """A frame with estimates instead of an image, which is empty.
 
     Attributes:
-        estimates: Hypotheses by all of the files, at least one, file by file, of dtype `HYPOTHESIS`, (h,).
+        estimates: Hypotheses of all files, file by file, of dtype `HYPOTHESIS`, (h,), h ≥ 1.
     """
 
     estimates: Shaped[np.ndarray, " h"] = field(kw_only=True)
+
+
+@dataclass(frozen=True)
+class OdometryTrack:
+    """Odometry of the body in one sequence: stamps (k,), poses (k,), twist covariances (k, 6, 6), zero if unknown."""
+
+    times_ns: Int64[np.ndarray, " k"]
+    odom_from_base: Poses
+    twist_covariances: Float64[np.ndarray, "k 6 6"]
+
+    def covers(self, time_ns: int) -> bool:
+        """Whether the body's pose is known."""
+        asked = np.array([time_ns], np.int64)
+        return bool(interpolate(self.times_ns, self.odom_from_base, asked, max_gap_s=MAX_ODOMETRY_GAP_S)[1][0])
+
+    def between(self, start_ns: int, end_ns: int, motion_noise: MotionNoise) -> Odometry:
+        """Motion of the camera between two covered times; the noise is that of odometry without covariances."""
+        return odometry_between(
+            self.times_ns,
+            self.odom_from_base,
+            self.twist_covariances,
+            start_ns,
+            end_ns,
+            base_from_camera=BASE_FROM_CAMERA,
+            motion_noise=motion_noise,
+        )
 
 
 class EstimateSequence:
     """Frames that at least one file has an estimate of, in order of time.
 
     Frames whose names begin differently are of different sequences. These follow each other with a second between, and
-    the first frame of each has no odometry: what is localized starts anew. A frame without any estimate is left out;
-    the odometry of the next one reaches across it, so a filter predicts over it.
+    the first frame of each has no odometry. A frame without any estimate is left out; the odometry of the next one
+    reaches across it.
 
     Args:
         estimates: Files of estimates, one for each method; one pose a frame, or several with weights.
         odometry: Poses of the camera in any frame: only their relative motion counts.
         simulate_odometry_from: True poses to simulate odometry from, where there is none.
         ground_truth: True poses; None for those that the odometry is simulated from.
-        options: How to read them.
-        seed: Of simulated odometry.
+        options: How to read the files.
+        seed: Seed of simulated odometry.
 
     Raises:
-        SequenceError: a file cannot be used, some have names and some have stamps, odometry is given twice or not at
-            all, or no frame is left.
+        SequenceError: a file cannot be used, odometry is given twice or not at all, or no frame is left.
     """
 
     def __init__(
@@ -98,7 +123,7 @@ class EstimateSequence:
         self._set_clocks(source, truth)
         given = [*self.files, source, *([] if truth is None else [truth])]
         self.counts = ImageCounts(0)
-        self._times_ns = frame_stamps(given, self._options.rate_hz)
+        self._times_ns = _frame_stamps(given, self._options.rate_hz)
         self._frames = sorted({frame for file in self.files for frame in file.frames}, key=natural_order)
         self._hypotheses = _by_frame(self.files)
         self._truth = truth
@@ -124,7 +149,7 @@ class EstimateSequence:
         for i, frame in enumerate(self._frames):
             time_ns, track = self._times_ns[frame], self._tracks.get(frame.sequence)
             if track is None or not track.covers(time_ns):
-                self.counts.skipped[NO_ODOMETRY if track is None else track.why_uncovered(time_ns)] += 1
+                self.counts.skipped[_NO_ODOMETRY if track is None else uncovered(time_ns, track.times_ns)] += 1
                 continue
             motion = None
             if previous is not None and previous[0] == frame.sequence:
@@ -156,7 +181,7 @@ class EstimateSequence:
         return float(np.median(np.concatenate(speeds))) if speeds else 0.0
 
     def _read(self, path: Path, columns: str | None) -> PoseFile:
-        # The direction is that of named frames: beside them, files of stamps are camera-to-world as ever.
+        # The direction is that of named frames: files of stamps are always camera-to-world.
         beside = self._has_names and frames_by(path, columns)[0] == "stamps"
         rows = Rows("poses")
         file = read_poses(path, None if beside else self._options.direction, columns, rows)
@@ -164,7 +189,7 @@ class EstimateSequence:
         return replace(file, poses=Poses(file.poses.rotation, file.poses.translation * self._options.unit_m))
 
     def _set_clocks(self, source: PoseFile, truth: PoseFile | None) -> None:
-        """Add the time offset to the stamps of estimates; note where rotations say that clocks differ."""
+        """Add the time offset to the stamps of estimates; notice clocks that differ by the rotations."""
         asked = self._options.time_offset_s
         if not source.timed:
             if asked != 0.0:
@@ -189,7 +214,10 @@ class EstimateSequence:
                 next((other_s for other_s in others_s if abs(other_s - offset_s) < _SAME_CLOCK_S), offset_s)
             )
             self.notices += notices
-        self.files = [_shifted(file, offset_s) for file, offset_s in zip(self.files, offsets_s, strict=True)]
+        for i, (file, offset_s) in enumerate(zip(self.files, offsets_s, strict=True)):
+            shift_ns = round(offset_s * 1e9)
+            frames = tuple(frame._replace(number=frame.number + shift_ns) for frame in file.frames)
+            self.files[i] = replace(file, frames=frames)
         if truth is not None and truth is not source:
             self.notices += offset_of_clocks(0.0, track, _best(truth), str(truth.path))[1]
 
@@ -201,7 +229,7 @@ class EstimateSequence:
             rows = [i for i, frame in enumerate(source.frames) if frame.sequence == sequence]
             times_ns = np.array([self._times_ns[source.frames[i]] for i in rows], np.int64)
             poses = source.poses[rows] @ BASE_FROM_CAMERA.inverse()
-            covariances = np.zeros((len(rows), 6, 6))  # unknown: the motion noise speaks
+            covariances = np.zeros((len(rows), 6, 6))  # unknown: the motion noise counts
             if rng is not None:
                 poses, covariances = simulate_odometry(times_ns, poses, self._options.noise, rng=rng)
             tracks[sequence] = OdometryTrack(times_ns, poses, covariances)
@@ -241,31 +269,39 @@ def _best(file: PoseFile) -> Trajectory:
     return Trajectory(found, file.poses[order[first]])
 
 
-def _shifted(file: PoseFile, seconds: float) -> PoseFile:
-    """The same by a clock that shows so much more."""
-    shift_ns = round(seconds * 1e9)
-    return replace(file, frames=tuple(frame._replace(number=frame.number + shift_ns) for frame in file.frames))
-
-
 def _require_common(file: PoseFile, other: PoseFile) -> None:
     """Raise SequenceError where no name of a file begins as one of another does."""
     if file.timed or not {frame.sequence for frame in file.frames}.isdisjoint(frame.sequence for frame in other.frames):
         return
-    one, two = (f"{len(set(each.frames))} names such as {_said(each.frames[0])}" for each in (file, other))
+    one, two = (
+        f"{len(set(each.frames))} names such as {quoted(each.frames[0].sequence + str(each.frames[0].number))}"
+        for each in (file, other)
+    )
     raise SequenceError(
         f"{file.path} has {one}, {other.path} has {two}: none match, expected names that begin alike up to their number"
     )
 
 
-def _said(frame: FrameName) -> str:
-    return quoted(f"{frame.sequence}{frame.number}")
-
-
 def _by_frame(files: Sequence[PoseFile]) -> dict[FrameName, Shaped[np.ndarray, " h"]]:
-    """What all files say of each frame, file by file."""
+    """Hypotheses of each frame, file by file."""
     found: dict[FrameName, list[tuple[int, float, np.ndarray]]] = {}
     for number, file in enumerate(files):
         weights = np.ones(len(file.frames)) if file.weights is None else file.weights
         for frame, weight, matrix in zip(file.frames, weights.tolist(), file.poses.as_matrix(), strict=True):
             found.setdefault(frame, []).append((number, weight, matrix))
     return {frame: np.array(hypotheses, HYPOTHESIS) for frame, hypotheses in found.items()}
+
+
+def _frame_stamps(files: Sequence[PoseFile], rate_hz: float) -> dict[FrameName, int]:
+    """Nanoseconds of every frame: its own stamp, or by its number, a second between sequences."""
+    frames = sorted({frame for file in files for frame in file.frames}, key=natural_order)
+    if files[0].timed:
+        return {frame: frame.number for frame in frames}
+    stamps: dict[FrameName, int] = {}
+    begin_ns, first, last = 0, 0, None
+    for frame in frames:
+        if last is None or frame.sequence != last.sequence:
+            begin_ns, first = 0 if last is None else stamps[last] + 1_000_000_000, frame.number
+        stamps[frame] = begin_ns + round((frame.number - first) * 1_000_000_000 / rate_hz)
+        last = frame
+    return stamps

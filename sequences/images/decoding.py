@@ -47,27 +47,24 @@ _ENCODINGS: dict[str, tuple[str, int, int | None]] = {
     "nv21": ("u1", 1, cv2.COLOR_YUV2RGB_NV21),
     "nv24": ("u1", 1, cv2.COLOR_YUV2RGB_NV12),
 }
-# Encodings in planes -> rows of the message for every two of the image: luma, then rows of both chroma values by turns.
+# Encodings in planes -> rows of the message for every two of the image: luma, then both chroma values by turns.
 _PLANAR = {"nv12": 3, "nv21": 3, "nv24": 6}
 _NAMES = {name.lower(): name for name in _ENCODINGS}
-# ROS' names of matrices of numbers. Of those that are no encoding above, none is a picture: depth, disparity, flow.
+# ROS' names of matrices of numbers; those that are no encoding above hold depth, disparity or flow.
 _MATRIX = re.compile(r"(8|16|32|64)[usf]c\d*", re.IGNORECASE)
 
 
 def decode_image_bytes(data: bytes) -> UInt8[np.ndarray, "height width 3"]:
     """JPEG, PNG, WebP or BMP -> RGB. Orientation tags are ignored: intrinsics are of stored pixels.
 
-    A damaged JPEG mostly decodes to some picture, grey or shifted from the damage on: no image is the better answer.
-
-    Raises:
-        DamagedImageError: a JPEG that is cut off, or whose coded pixels end early.
-        SequenceError: the bytes are no image, or one that states more than 100 megapixels.
+    Raises DamagedImageError for a JPEG that is cut off, or whose coded pixels end early: it would decode to a grey or
+    shifted image. Raises SequenceError for other bytes, and above 100 megapixels.
     """
     data = bytes(data)
     check_before_decoding(data)
     image = _decoded(data)
-    # Where coded pixels are wanting, the decoder leaves the rest grey. A grey corner may also be what the camera saw:
-    # then more of them at the end change nothing.
+    # Where coded pixels are missing, the decoder leaves the rest grey. A camera may also see a grey corner: then more
+    # coded pixels at the end change nothing.
     if is_jpeg(data) and (image[-4:, -4:] == 128).all() and not np.array_equal(image, _decoded(lengthened(data))):
         raise DamagedImageError(
             f"JPEG of {len(data)} bytes ends early, expected the pixels of all {image.shape[0]} rows"
@@ -86,17 +83,16 @@ def _decoded(data: bytes) -> UInt8[np.ndarray, "height width 3"]:
 
 
 def decode_compressed_image(message: SimpleNamespace) -> UInt8[np.ndarray, "height width 3"]:
-    """sensor_msgs/CompressedImage -> RGB.
+    """sensor_msgs/CompressedImage -> RGB. Raises SequenceError as `decode_image_bytes`, and for depth.
 
-    A file says by itself whether it is grey or in colour, but not that its grey is a Bayer mosaic: `format` does, which
-    image_transport writes as `ENCODING; png compressed ` where it left the pixels as they were, and as `ENCODING; jpeg
-    compressed OTHER` where it converted them before. Whether that names rgb8 or bgr8, colours are those of the file.
-
-    Raises:
-        SequenceError: as `decode_image_bytes`; or the pixels are named as depth, which is no picture.
+    `format` marks grey pixels as a Bayer mosaic: image_transport writes `ENCODING; png compressed ` for stored pixels,
+    and `ENCODING; jpeg compressed OTHER` where it converted them to OTHER. Colours are always those of the file.
     """
-    encoding = _stored_encoding(message.format)
-    _require_picture(encoding)
+    image_format: str = message.format
+    source, _, rest = image_format.partition(";")
+    named = [word for word in [source.strip(), *rest.split()] if word.lower() in _NAMES or _MATRIX.fullmatch(word)]
+    encoding = _NAMES.get(named[-1].lower(), named[-1]) if named else ""
+    _require_image(encoding)
     try:
         image = decode_image_bytes(message.data)
     except DamagedImageError:
@@ -108,31 +104,22 @@ def decode_compressed_image(message: SimpleNamespace) -> UInt8[np.ndarray, "heig
     return image
 
 
-def _stored_encoding(image_format: str) -> str:
-    """The encoding of the pixels in a file, by the `format` of its message; '' where that names none."""
-    source, _, rest = image_format.partition(";")
-    named = [word for word in [source.strip(), *rest.split()] if word.lower() in _NAMES or _MATRIX.fullmatch(word)]
-    return _NAMES.get(named[-1].lower(), named[-1]) if named else ""
-
-
-def _require_picture(encoding: str) -> None:
+def _require_image(encoding: str) -> None:
     if encoding not in _ENCODINGS and _MATRIX.fullmatch(encoding):
         raise SequenceError(
-            f"image encoding {encoding!r} is of depth or another measurement, no picture; expected a topic of images in"
-            " colour or grey (--image-topic), which a grey camera publishes as mono8 or mono16"
+            f"image encoding {encoding!r} is of depth or another measurement, expected a topic of images in colour or"
+            " grey (--image-topic), which a grey camera publishes as mono8 or mono16"
         )
 
 
 def decode_image(message: SimpleNamespace) -> UInt8[np.ndarray, "height width 3"]:
     """sensor_msgs/Image -> RGB; 16-bit values keep their upper 8 bits.
 
-    Raises:
-        SequenceError: the encoding is unknown or of depth, the data do not fill the image, or it has more than 100
-            megapixels.
+    Raises SequenceError for an unknown encoding or depth, too few data, or more than 100 megapixels.
     """
     height, width, step, encoding = int(message.height), int(message.width), int(message.step), message.encoding
     require_pixels(width, height, "image")
-    _require_picture(encoding)
+    _require_image(encoding)
     if encoding not in _ENCODINGS:
         raise SequenceError(f"image encoding {encoding!r} is not known, expected one of {', '.join(_ENCODINGS)}")
     kind, channels, _ = _ENCODINGS[encoding]

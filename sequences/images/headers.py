@@ -1,9 +1,8 @@
-"""What compressed images say of themselves before they are decoded, and whether a JPEG has all that it should."""
+"""Headers of compressed images: their sizes, and whether they are whole, before they are decoded."""
 
 from __future__ import annotations
 
 import struct
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import UInt8
@@ -22,7 +21,7 @@ _IN_SCANS = np.isin(
 
 
 class DamagedImageError(SequenceError):
-    """An image that is known to lack a part of itself, though a picture may come out of it."""
+    """An image that lacks a part of itself, though it may decode."""
 
 
 def why_left_out(error: SequenceError) -> str:
@@ -30,27 +29,17 @@ def why_left_out(error: SequenceError) -> str:
     return "damaged image" if isinstance(error, DamagedImageError) else "undecodable image"
 
 
-class _Jpeg(NamedTuple):
-    """Width and height of a JPEG, and where its first scan begins."""
-
-    width: int
-    height: int
-    scan: int
-
-
 def check_before_decoding(data: bytes) -> None:
-    """Check what can be told of a compressed image without decoding it.
+    """Check a compressed image without decoding it.
 
-    Raises:
-        DamagedImageError: a JPEG that is cut off, or whose coded pixels are broken by a marker that cannot be there; a
-            PNG without an end.
-        SequenceError: it is no JPEG, PNG, WebP or BMP, or has more than 100 megapixels.
+    Raises DamagedImageError for a JPEG that is cut off or has an impossible marker, and for a PNG without an end.
+    Raises SequenceError for other formats, and above 100 megapixels.
     """
     size = stated_size(data)
     if size is None:
         raise SequenceError(f"{len(data)} bytes are no image, expected JPEG, PNG, WebP or BMP")
     require_pixels(*size, "image")
-    if is_png(data) and not _png_ends(data):  # the decoder would ask for as much memory as a chunk says it has
+    if is_png(data) and not _png_ends(data):  # the decoder would allocate as much as a chunk states
         raise DamagedImageError(f"PNG of {len(data)} bytes is cut off or broken, expected chunks up to an end")
     if not is_jpeg(data):
         return
@@ -62,7 +51,7 @@ def check_before_decoding(data: bytes) -> None:
 
 
 def stated_size(data: bytes) -> tuple[int, int] | None:
-    """Width and height by the header of a JPEG, PNG, WebP or BMP; None of anything else, and of a damaged header."""
+    """Width and height by the header of a JPEG, PNG, WebP or BMP; None for other bytes and a damaged header."""
     try:
         width, height = _size(data)
     except (struct.error, IndexError):
@@ -87,14 +76,14 @@ def is_png(data: bytes) -> bool:
 
 
 def lengthened(data: bytes) -> bytes:
-    """A JPEG with further coded pixels at its end: another picture only where some were wanting."""
+    """A JPEG with more coded pixels at its end: it decodes differently only where some were missing."""
     end, _ = _markers_of_scans(data)
     return data[:end] + bytes([0x55]) * 64 + data[end:]
 
 
 def _markers_of_scans(data: bytes) -> tuple[int, UInt8[np.ndarray, " n"]]:
     """Where the coded pixels of a JPEG end, and all markers from the first scan up to there."""
-    begin = _jpeg(data).scan
+    *_, begin = _jpeg(data)
     coded = np.frombuffer(data, np.uint8)[begin:]
     places = np.flatnonzero(coded[:-1] == 0xFF)
     markers = coded[places + 1]
@@ -104,10 +93,9 @@ def _markers_of_scans(data: bytes) -> tuple[int, UInt8[np.ndarray, " n"]]:
 
 
 def _size(data: bytes) -> tuple[int, int]:
-    """Width and height, pixels; zeros for what is none of these formats."""
+    """Width and height, pixels; zeros for other formats."""
     if is_jpeg(data):
-        width, height, _ = _jpeg(data)
-        return width, height
+        return _jpeg(data)[:2]
     if is_png(data) and data[12:16] == b"IHDR":
         width, height = struct.unpack_from(">II", data, 16)
         return width, height
@@ -132,7 +120,8 @@ def _png_ends(data: bytes) -> bool:
     return False
 
 
-def _jpeg(data: bytes) -> _Jpeg:
+def _jpeg(data: bytes) -> tuple[int, int, int]:
+    """Width, height, and where the first scan begins; size zero where there is none."""
     width = height = 0
     at = 2
     while data[at] == 0xFF:
@@ -140,12 +129,12 @@ def _jpeg(data: bytes) -> _Jpeg:
         if marker == 0xFF:  # fill
             at += 1
         elif marker == _SCAN:
-            return _Jpeg(width, height, at)
+            return width, height, at
         else:
             if marker in _SIZES and not width:
                 height, width = struct.unpack_from(">HH", data, at + 5)
             at += 2 + struct.unpack_from(">H", data, at + 2)[0]
-    return _Jpeg(0, 0, at)
+    return 0, 0, at
 
 
 def _webp(data: bytes) -> tuple[int, int]:

@@ -36,14 +36,12 @@ class Lens:
     """A camera whose images are distorted.
 
     Attributes:
-        camera: Size of its images, and its focal lengths and principal point before distortion.
+        camera: Image size, and focal lengths and principal point before distortion.
         model: "plumb_bob" and "rational_polynomial" are OpenCV's pinhole model with k1 k2 p1 p2 k3 ..., "equidistant"
             is its fisheye model with k1 to k4.
-        coefficients: Of the distortion, in OpenCV's order.
+        coefficients: Distortion coefficients in OpenCV's order.
 
-    Raises:
-        SequenceError: coefficients that are not finite or beyond what a lens has, an unknown model or a wrong number
-            of coefficients.
+    Raises SequenceError for an unknown model, a wrong number of coefficients, or one that is not finite or too large.
     """
 
     camera: Camera
@@ -61,33 +59,44 @@ class Lens:
             raise SequenceError(f"{found} distortion coefficients of {self.model}, expected {expected}")
 
     def scaled(self, width: int, height: int) -> Lens:
-        """The same lens at another image size: what it does to rays knows no pixels."""
+        """The same lens at another image size."""
         if (width, height) == (self.camera.width, self.camera.height):
             return self
         return replace(self, camera=self.camera.scaled(width, height))
 
 
+@lru_cache(maxsize=64)
 def pinhole_of(camera: Camera | Lens) -> Camera:
     """The pinhole camera of images after undistortion; a pinhole camera itself.
 
-    It has the size, the principal point and the ratio of focal lengths of the lens, and sees as much as it can without
-    showing anything that the lens did not see, but at most 60° to each side.
-
-    Raises:
-        SequenceError: a distortion that folds even the middle of the image.
+    It has the size, the principal point and the ratio of focal lengths of the lens, and the widest view that the lens
+    fills, but at most 60° to each side. Raises SequenceError where the distortion folds even the middle of the image.
     """
-    return _pinhole(camera) if isinstance(camera, Lens) else camera
+    if not isinstance(camera, Lens):
+        return camera
+    lens, pinhole = camera, camera.camera
+    short, long = _ZOOMS
+    if not _sees_all_of(lens, _zoomed(pinhole, long)):
+        raise SequenceError(
+            f"distortion coefficients {', '.join(f'{c:g}' for c in lens.coefficients)} of {lens.model} fold the image"
+            " about its principal point, expected those of a lens"
+        )
+    while long / short > 1.0005:  # a longer focal length sees a part of the view of a shorter one
+        middle = np.sqrt(short * long)
+        if _sees_all_of(lens, _zoomed(pinhole, middle)):
+            long = middle
+        else:
+            short = middle
+    return _zoomed(pinhole, float(long))
 
 
 def undistorted(
     image: UInt8[np.ndarray, "height width 3"], camera: Camera | Lens | None
 ) -> tuple[UInt8[np.ndarray, "height width 3"], Camera | None]:
-    """The image as a pinhole camera would have taken it, and that camera, which sees what `pinhole_of` says.
+    """The image as a pinhole camera would have taken it, and that camera, see `pinhole_of`.
 
-    Args:
-        image: As it was taken.
-        camera: What took it, None where unknown. Of another size than the image it is scaled; of another aspect it is
-            not the image's camera: the image is given back as it is, without one.
+    The camera is scaled to the image's size. Without one, or with one of another aspect, the image is returned
+    unchanged, without a camera.
     """
     if camera is None:
         return image, None
@@ -104,7 +113,7 @@ def undistorted(
 
 @lru_cache(maxsize=8)
 def _maps(lens: Lens) -> tuple[np.ndarray, np.ndarray]:
-    """Where each pixel of the pinhole image lies in the lens' image, in the fixed-point form that remaps fastest."""
+    """Where each pixel of the pinhole image lies in the lens' image, in fixed-point form, which remaps fastest."""
     size = lens.camera.width, lens.camera.height
     matrix, pinhole = _matrix(lens.camera), _matrix(pinhole_of(lens))
     coefficients = np.array(lens.coefficients, np.float64)
@@ -113,27 +122,8 @@ def _maps(lens: Lens) -> tuple[np.ndarray, np.ndarray]:
     return first, second
 
 
-@lru_cache(maxsize=64)
-def _pinhole(lens: Lens) -> Camera:
-    """By bisection over the focal length: what a longer one sees is a part of what a shorter one sees."""
-    camera = lens.camera
-    short, long = _ZOOMS
-    if not _sees_all_of(lens, _zoomed(camera, long)):
-        raise SequenceError(
-            f"distortion coefficients {', '.join(f'{c:g}' for c in lens.coefficients)} of {lens.model} fold the image"
-            " about its principal point, expected those of a lens"
-        )
-    while long / short > 1.0005:
-        middle = np.sqrt(short * long)
-        if _sees_all_of(lens, _zoomed(camera, middle)):
-            long = middle
-        else:
-            short = middle
-    return _zoomed(camera, float(long))
-
-
 def _sees_all_of(lens: Lens, pinhole: Camera) -> bool:
-    """Whether every ray of a pinhole camera comes to lie in the lens' image, further out the further it points."""
+    """Whether every ray of a pinhole camera lies in the lens' image, further out the further it points."""
     edge = np.linspace(-0.5, 0.5, _RIM)
     unit = np.concatenate([np.stack([edge, np.full(_RIM, side)]) for side in (-0.5, 0.5)], axis=1)
     unit = np.concatenate([unit, unit[::-1]], axis=1)

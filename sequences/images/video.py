@@ -1,21 +1,24 @@
-"""Packets of compressed video -> images, by PyAV, which is installed with `pip install 'vapor-track[video]'`.
+"""Image messages of one topic, in order -> images: stills, or video by PyAV.
 
-A packet has one image, mostly built on those before it. So after a damaged packet no image is given up to the next key
-frame, as before the first one: what a decoder makes up there looks like an image, and is none that the camera saw.
+A packet of video has one image, mostly built on those before it. So after a damaged packet there is no image up to the
+next key frame, as before the first one: a decoder's guess looks like an image, but the camera never saw it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from types import SimpleNamespace
-from typing import Any, NoReturn
+from typing import Any, NamedTuple, NoReturn
+
+import numpy as np
+from jaxtyping import UInt8
 
 from sequences.errors import SequenceError
 from sequences.images.decoding import decode_image
 from sequences.images.headers import MAX_PIXELS
-from sequences.images.streams import Image, ImageStream, Picture
 
+Image = UInt8[np.ndarray, "height width 3"]
 BEFORE_KEY_FRAME = "video before its first key frame"
 DAMAGED = "damaged video, up to the next key frame"
 
@@ -31,17 +34,45 @@ _DECODERS = {
 }
 
 
+class Picture(NamedTuple):
+    """One image of a topic, by its stamp.
+
+    `decode` returns it, RGB, or raises SequenceError. `skipped` is the reason to count where there is none, else ''.
+    """
+
+    time_ns: int
+    decode: Callable[[], Image]
+    skipped: str = ""
+
+
+class ImageStream:
+    """A stream whose every message is an image.
+
+    Attributes:
+        remembers: Whether an image may need messages before its own, so that none may be left out.
+    """
+
+    remembers = False
+
+    def __init__(self, decode: Callable[[SimpleNamespace], Image]) -> None:
+        self._decode = decode
+
+    def take(self, time_ns: int, message: SimpleNamespace | None) -> Iterable[Picture]:
+        """The images of a message, none later than the messages so far; None for a lost message."""
+        return [] if message is None else [Picture(time_ns, lambda: self._decode(message))]
+
+    def finish(self) -> Iterable[Picture]:
+        """The images that remain after the last message."""
+        return ()
+
+
 class Video(ImageStream):
     """A stream of video packets. Their stamps are those of their images, also where these come in another order."""
 
     remembers = True
 
     def __init__(self, format_field: str) -> None:
-        """Set up a stream from the name of the field that says how it is compressed.
-
-        Raises:
-            SequenceError: PyAV is not installed.
-        """
+        """Set up a stream by the name of the field with its format. Raises SequenceError where PyAV is missing."""
         try:
             import av
             import av.error
@@ -58,7 +89,7 @@ class Video(ImageStream):
         self._begun = False
 
     def take(self, time_ns: int, message: SimpleNamespace | None) -> Iterator[Picture]:
-        """The images that come out with a packet, none later than the packets so far; None for one that was lost."""
+        """See `ImageStream`."""
         if message is None:
             yield from self._break_off()
             return
@@ -84,7 +115,7 @@ class Video(ImageStream):
             yield from self._break_off()
 
     def finish(self) -> Iterator[Picture]:
-        """The images that were held back, once no packet comes any more."""
+        """See `ImageStream`."""
         yield from self._break_off()
 
     def _open(self, video_format: str) -> Any:
@@ -122,9 +153,8 @@ class Video(ImageStream):
             yield Picture(frame.pts, partial(_image, frame, self._format or ""))
 
     def _skip(self, time_ns: int) -> Picture:
-        return Picture(
-            time_ns, partial(_refuse, self._format or ""), skipped=DAMAGED if self._begun else BEFORE_KEY_FRAME
-        )
+        reason = DAMAGED if self._begun else BEFORE_KEY_FRAME
+        return Picture(time_ns, partial(_refuse, self._format or ""), skipped=reason)
 
 
 def _refuse(video_format: str) -> NoReturn:
@@ -136,14 +166,6 @@ def _image(frame: Any, video_format: str) -> Image:
     _, _, ros_encoding, *_ = [*video_format.split(";"), "", "", ""]
     if ros_encoding == "mono8" or ros_encoding.startswith("bayer_"):
         luma = frame.planes[0]
-        return decode_image(
-            SimpleNamespace(
-                height=frame.height,
-                width=frame.width,
-                encoding=ros_encoding,
-                is_bigendian=0,
-                step=luma.line_size,
-                data=bytes(luma),
-            )
-        )
+        size = {"height": frame.height, "width": frame.width, "step": luma.line_size}
+        return decode_image(SimpleNamespace(encoding=ros_encoding, is_bigendian=0, data=bytes(luma), **size))
     return frame.to_ndarray(format="rgb24")

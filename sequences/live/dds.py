@@ -1,6 +1,6 @@
-"""Topics of ROS 2 by Cyclone DDS, without ROS: every node speaks DDS, whichever distribution it is of.
+"""Topics of ROS 2 by Cyclone DDS, without ROS; nodes of all distributions speak DDS.
 
-Messages stay the bytes that they are on the wire, which are those of a recording: no type is declared but by name.
+Messages stay bytes, which are those of a recording: types are declared by name alone.
 """
 
 from __future__ import annotations
@@ -17,15 +17,7 @@ from typing import Any
 from weakref import WeakValueDictionary
 
 from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
-from cyclonedds.core import (
-    DDSException,
-    GuardCondition,
-    InstanceState,
-    ReadCondition,
-    SampleState,
-    ViewState,
-    WaitSet,
-)
+from cyclonedds.core import DDSException, GuardCondition, InstanceState, ReadCondition, SampleState, ViewState, WaitSet
 from cyclonedds.domain import Domain, DomainParticipant
 from cyclonedds.idl import make_idl_struct
 from cyclonedds.idl.types import uint8
@@ -41,7 +33,7 @@ from sequences.live.options import DdsOptions
 from sequences.live.transport import Offer, Publish
 from sequences.recordings.source import RawMessage
 
-_DEPTH, _LATCHED_DEPTH = 100, 1000  # messages kept for who is slow, or comes late
+_DEPTH, _LATCHED_DEPTH = 100, 1000  # messages kept for slow and for late subscribers
 _IMAGE_DEPTH = 4
 _AT_ONCE = 64
 _LARGE = ("sensor_msgs/Image", "sensor_msgs/CompressedImage", "foxglove_msgs/CompressedVideo")
@@ -56,16 +48,10 @@ _TYPE_NAME = re.compile(r"(\w+)::msg::dds_::(\w+)_")
 
 
 class DdsTransport:
-    """A participant of a ROS 2 system, see `Transport`; used in a `with` statement, or closed.
-
-    Args:
-        config: Which system.
-
-    Raises:
-        VaporTrackError: the domain cannot be joined.
-    """
+    """A participant of a ROS 2 system, see `Transport`."""
 
     def __init__(self, config: DdsOptions | None = None) -> None:
+        """Join a system. Raises VaporTrackError where that is impossible."""
         self._config = config or DdsOptions()
         self.name = f"ROS domain {self._config.number}"
         try:
@@ -88,22 +74,14 @@ class DdsTransport:
         self._thread = threading.Thread(target=self._work, name="dds", daemon=True)
         self._thread.start()
 
-    def __enter__(self) -> DdsTransport:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
     def offers(self) -> list[Offer]:
-        """See `Transport.offers`. Raises VaporTrackError where messages can be heard no longer."""
+        """See `Transport.offers`. Raises VaporTrackError once messages can no longer be received."""
         if self._error is not None:
             raise VaporTrackError(f"{self.name}: {self._error}")
         found: dict[tuple[str, str], list[tuple[bool, bool]]] = defaultdict(list)
         for endpoint in self._publications.read(_MOST_PUBLISHERS, self._alive):
-            topic, type_name = (
-                _NAME.fullmatch(endpoint.topic_name or ""),
-                _TYPE_NAME.fullmatch(endpoint.type_name or ""),
-            )
+            topic = _NAME.fullmatch(endpoint.topic_name or "")
+            type_name = _TYPE_NAME.fullmatch(endpoint.type_name or "")
             if topic is None or type_name is None or endpoint.participant_key == self._own:
                 continue
             reliable = endpoint.qos[Policy.Reliability] != Policy.Reliability.BestEffort
@@ -112,7 +90,7 @@ class DdsTransport:
         return [Offer(*names, *(all(each) for each in zip(*qos, strict=True))) for names, qos in sorted(found.items())]
 
     def subscribe(self, offer: Offer, deliver: Callable[[RawMessage], None]) -> None:
-        """See `Transport.subscribe`: reliable where all publishers are, but for images that nobody asked that of."""
+        """See `Transport.subscribe`: reliable where all publishers are; of images only where the options ask for it."""
         is_image = offer.type in _LARGE
         reliable = offer.reliable and (self._config.reliable or offer.latched or not is_image)
         qos = Qos(
@@ -120,7 +98,7 @@ class DdsTransport:
             Policy.Durability.TransientLocal if offer.latched else Policy.Durability.Volatile,
             Policy.History.KeepLast(_IMAGE_DEPTH if is_image else _LATCHED_DEPTH if offer.latched else _DEPTH),
             _as_cdr(),
-            Policy.IgnoreLocal.Participant,  # what this process publishes itself, such as on /tf
+            Policy.IgnoreLocal.Participant,  # messages of this process, such as on /tf
         )
         for before in [each for each in self._readers if each[1].topic == offer.topic]:
             self._readers.remove(before)
@@ -129,7 +107,7 @@ class DdsTransport:
         coming = ReadCondition(reader, ViewState.Any | SampleState.Any | InstanceState.Any)
         self._waitset.attach(coming)
         self._readers.append((reader, offer, deliver, coming))
-        self._changed.set(True)  # the waitset looks at what was attached when it is called the next time
+        self._changed.set(True)  # new conditions count from the next call of the waitset
 
     def advertise(self, topic: str, message_type: str, *, latched: bool = False) -> Publish:
         """See `Transport.advertise`."""
@@ -168,7 +146,6 @@ class DdsTransport:
         del self._waitset, self._changed, self._alive, self._publications, self._participant, self._domain
 
     def _topic(self, topic: str, message_type: str) -> Any:
-        """The topic as DDS has it, declared once."""
         if (topic, message_type) not in self._topics:
             package, _, name = message_type.partition("/")
             raw = _raw_type(f"{package}{_TYPE}{name}_")
@@ -178,26 +155,26 @@ class DdsTransport:
     def _work(self) -> None:
         try:
             self._listen()
-        except DDSException as error:  # told to who looks for topics the next time
+        except DDSException as error:  # raised by the next call of `offers`
             self._error = _reason(error)
 
     def _listen(self) -> None:
-        """Deliver what comes, until the transport is closed."""
+        """Deliver messages until the transport is closed."""
         while not self._closed:
             self._waitset.wait(_LONG_NS)
             self._changed.set(False)
             for reader, offer, deliver, _ in list(self._readers):
                 while not self._closed and (samples := reader.take(_AT_ONCE)):
                     now_ns = time.time_ns()
-                    for number, sample in enumerate(samples):  # which came together, one after the other
-                        if not isinstance(sample, InvalidSample):  # which tells that a publisher came or went
+                    for number, sample in enumerate(samples):  # distinct times for messages that came together
+                        if not isinstance(sample, InvalidSample):  # a publisher came or went
                             deliver(RawMessage(offer.topic, now_ns + number, sample.first, offer.type, "cdr", b""))
                     if len(samples) < _AT_ONCE:
                         break
 
 
 def _domain(options: DdsOptions) -> Domain:
-    """The domain with its settings: those of whoever of this process joined first, until the last one leaves."""
+    """The domain, with the settings of the first participant of this process until the last one leaves."""
     number = options.number
     with _JOINING:
         if (domain := _DOMAINS.get(number)) is None:
@@ -210,7 +187,7 @@ def _domain(options: DdsOptions) -> Domain:
 def _raw_type(name: str) -> Any:
     """A type of that name whose values are the bytes of messages.
 
-    DDS checks that they begin with what is declared, and looks no further: a byte, which all messages have.
+    DDS checks only that they begin with the declared fields: one byte, which all messages have.
     """
     declared: Any = make_idl_struct("Raw", name, {"first": uint8})
     declared.serialize = lambda self, *_, **__: self.first
@@ -220,7 +197,7 @@ def _raw_type(name: str) -> Any:
 
 
 def _as_cdr() -> Any:
-    """The one encoding of ROS 2; by default DDS would accept another as well."""
+    """The encoding of ROS 2; by default DDS would accept another one, too."""
     return Policy.DataRepresentation(use_cdrv0_representation=True)
 
 

@@ -1,4 +1,4 @@
-"""Which running system to join, as a person states it."""
+"""Options: which running system to join."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from dataclasses import dataclass
 
 from filtering.errors import VaporTrackError
 
-MAX_DOMAIN = 232
-"""Above, DDS has no ports."""
+MAX_DOMAIN = 232  # above, DDS has no ports
 
 
 @dataclass(frozen=True)
@@ -38,10 +37,10 @@ class DdsOptions:
         """The domain to join."""
         if self.domain is not None:
             return self.domain
-        told = os.environ.get("ROS_DOMAIN_ID") or "0"
-        if not told.isdecimal():
-            raise VaporTrackError(f"ROS_DOMAIN_ID is {told!r}, expected a number from 0 to {MAX_DOMAIN}")
-        return int(told)
+        value = os.environ.get("ROS_DOMAIN_ID") or "0"
+        if not value.isdecimal():
+            raise VaporTrackError(f"ROS_DOMAIN_ID is {value!r}, expected a number from 0 to {MAX_DOMAIN}")
+        return int(value)
 
     @property
     def xml(self) -> str:
@@ -57,7 +56,7 @@ class DdsOptions:
             '<CycloneDDS><Domain Id="any">'
             f"<General>{interfaces}<AllowMulticast>{multicast}</AllowMulticast></General>"
             f"<Discovery>{index if peers else ''}<Peers>{listed}</Peers></Discovery>"
-            # From Kilted on, nodes describe their types in detail; what is declared here by name alone would not fit.
+            # From Kilted on, nodes describe their types in detail; types declared by name alone would not match.
             "<Compatibility><IgnoreTypeInformation>1.15</IgnoreTypeInformation></Compatibility>"
             # Large images come as many datagrams at once; the kernel may grant less.
             '<Internal><SocketReceiveBufferSize min="default" max="16MB"/></Internal>'

@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 import queue
 import time
-from collections import Counter
-from collections.abc import Callable
+from collections import Counter, deque
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import fields, replace
+from itertools import count
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -15,57 +17,144 @@ from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.errors import NotFoundError, SequenceError
 from sequences.frame import Frame
-from sequences.live.heard import Heard
-from sequences.live.transport import Transport
+from sequences.live.transport import Offer, Transport
 from sequences.options import ReadingOptions, SequenceOptions
 from sequences.reading.camera_info import ImageCamera
-from sequences.reading.clock_steps import ClockOfStream, Told
 from sequences.reading.counts import ImageCounts
 from sequences.reading.frame_pairing import FramePairing
 from sequences.reading.roles import IMAGE_TYPES, Roles
+from sequences.reading.timeline import ClockOfStream, StampKind
 from sequences.recordings.messages import stamp_ns
-from sequences.recordings.source import RawMessage
-from sequences.recordings.topics import choose, decode, first
+from sequences.recordings.source import RawMessage, Topic, choose, decode, first, namespaced_tf, stands_for
 
+_KEPT_IMAGES, _KEPT = 16, 2000  # messages of each topic, until the reading begins
 _MOST_WAITING = 16  # images, still encoded, for odometry to come as far
-_HEARD_EARLY = ("nav_msgs/Odometry", "sensor_msgs/CameraInfo", "tf2_msgs/TFMessage")  # some are told only once
-_SETTLED_S = 1.0  # since the last topic appeared: which are there by themselves is not known before
+_HEARD_EARLY = ("nav_msgs/Odometry", "sensor_msgs/CameraInfo", "tf2_msgs/TFMessage")  # some come only once
+_SETTLED_S = 1.0  # without a new topic, before the only one of its kind is chosen
 _ASK_AGAIN_S = 0.2
-_SAY_AGAIN_S = 5.0
+_REPORT_AGAIN_S = 5.0
+
+
+class Heard:
+    """A `MessageSource` that grows: a topic is subscribed when it is first asked for.
+
+    `topics` are published now, without Foxglove's transforms, which ROS's stand for.
+    """
+
+    def __init__(self, transport: Transport, events: queue.SimpleQueue[Any], *, options: ReadingOptions) -> None:
+        """Listen to a system, whose messages go to `events`."""
+        self.path = Path(transport.name)
+        self.topics: dict[str, Topic] = {}
+        self._transport, self._events, self._options = transport, events, options
+        self._tf: dict[str, str] = {}
+        self._offered: dict[str, list[Offer]] = {}  # by their own names
+        self._offers: dict[str, list[Offer]] = {}  # by the names that readers use
+        self._heard_from: dict[str, Offer] = {}
+        self._kept: dict[str, deque[tuple[int, RawMessage]]] = {}
+        self._numbers = count()
+
+    def refresh(self) -> bool:
+        """Update the topics that are published; true where they have changed."""
+        offered: dict[str, list[Offer]] = {}
+        for offer in self._transport.offers():
+            offered.setdefault(offer.topic, []).append(offer)
+        if offered == self._offered:
+            return False
+        self._offered = offered
+        topics = [Topic(name, same[0].type, 1, "cdr") for name, same in offered.items()]
+        known = {t.name: t for t in topics if not t.is_misnamed and not t.is_foxglove_tf}
+        try:
+            self._tf = namespaced_tf(known, self._options.tf_topic, self.path)
+        except NotFoundError:  # not yet
+            self._tf = {}
+        called = {each: name for name, topic in known.items() for each in stands_for(topic, self._tf)}
+        self.topics = {each: replace(known[name], name=each) for each, name in called.items()}
+        self._offers = {each: offered[name] for each, name in called.items()}
+        for name, before in list(self._heard_from.items()):
+            (now, *_) = self._offers.get(name, [before])
+            if now.type == before.type and now != before:  # a publisher that came back with another QoS may not match
+                self._hear(name, now)
+        return True
+
+    def __contains__(self, topic: str) -> bool:
+        return topic in self.topics
+
+    def messages(
+        self, topics: Collection[str], *, until: Callable[[int], bool] = lambda log_time_ns: False
+    ) -> Iterator[RawMessage]:
+        """Messages of some topics so far, see `MessageSource`; subscribes them. Raises SequenceError as `hear`."""
+        found: list[tuple[int, RawMessage]] = []
+        for name in self.topics.keys() & set(topics):
+            self.hear(name)
+            found += self._kept[name]
+        for _, raw in sorted(found, key=lambda numbered: numbered[0]):
+            if not until(raw.log_time_ns):
+                yield raw
+
+    def hear(self, topic: str) -> None:
+        """Subscribe a topic that is published. Raises SequenceError where it has several types."""
+        if topic in self._heard_from:
+            return
+        offers = self._offers[topic]
+        if len(offers) > 1:
+            types = " and of ".join(offer.type for offer in offers)
+            raise SequenceError(f"{self.path}: {topic} has messages of {types}, expected one type a topic")
+        size = _KEPT_IMAGES if self.topics[topic].read_as in IMAGE_TYPES else _KEPT
+        self._kept[topic] = deque(maxlen=size)
+        self._hear(topic, offers[0])
+
+    def _hear(self, topic: str, offer: Offer) -> None:
+        self._heard_from[topic] = offer
+        self._transport.subscribe(offer, self._events.put)
+
+    def keep(self, raw: RawMessage) -> None:
+        """Take a message, until `kept` is called."""
+        raw = self.stamped(raw)
+        if (kept := self._kept.get(raw.topic)) is not None:
+            kept.append((next(self._numbers), raw))
+
+    def kept(self) -> list[RawMessage]:
+        """The kept messages, in the order in which they came; none is kept from now on."""
+        found = sorted((numbered for kept in self._kept.values() for numbered in kept), key=lambda each: each[0])
+        self._kept = {}
+        return [raw for _, raw in found]
+
+    def stamped(self, raw: RawMessage) -> RawMessage:
+        """A message with the name and the stamps of the options."""
+        return raw._replace(restamped=self._options.stamps == "log", topic=self._tf.get(raw.topic, raw.topic))
+
+    def fixed_links(self) -> frozenset[tuple[str, str]]:
+        """None, as Foxglove's transforms are not read."""
+        return frozenset()
 
 
 class LiveReader:
-    """Takes the messages of a running system as they come, and gives frames; used by one thread.
+    """Messages of a running system in, frames out; used by one thread.
 
-    A clock that is set begins a new reading: what leads from the frame before it to the one after it is not known.
+    A clock that is set begins a new reading: the motion between frames of different readings is unknown.
 
     Attributes:
-        path: What messages of errors call the system.
-        heard: The system's topics.
-        roles: Which topic is what.
-        streamed: Names of the topics that it takes messages of.
-        camera: Of the images.
-        readings: How many readings there were so far: frames of different ones have no odometry between them.
+        streamed: Names of the topics whose messages it takes.
+        readings: Number of readings so far.
     """
 
     def __init__(self, heard: Heard, options: ReadingOptions) -> None:
-        """Find topics, intrinsics and extrinsics among what was heard so far.
+        """Find topics, intrinsics and extrinsics in the messages so far.
 
         Raises:
             NotFoundError: something is not there yet.
-            SequenceError: what is there cannot be used, or there is a choice to make.
+            SequenceError: something cannot be used, or there is a choice to make.
         """
         self.path: Path = heard.path
         self.heard = heard
-        shared = {name: getattr(options, name) for name in ReadingOptions.__dataclass_fields__}
-        self._options = SequenceOptions(**shared, ground_truth_topic="")
+        shared = {field.name: getattr(options, field.name) for field in fields(ReadingOptions)}
         image = choose(heard, "image", IMAGE_TYPES, options.image_topic, required=True)
         assert image is not None
         for topic in heard.topics.values():
             if topic.read_as in _HEARD_EARLY:
                 heard.hear(topic.name)
         first(heard, image)  # whose header names the frame of the camera
-        self.roles = Roles(heard, self._options, "required", "optional")
+        self.roles = Roles(heard, SequenceOptions(**shared, ground_truth_topic=""), "required", "optional")
         self.camera = ImageCamera(heard, self.roles.camera_info, self.roles.image, undistort=options.undistort)
         self.streamed = list(self.roles.watched)
         for name in self.streamed:
@@ -75,21 +164,13 @@ class LiveReader:
         self._past_counts, self._past_messages = ImageCounts(0), Counter[str]()
         self._clocks: dict[str, ClockOfStream] = {}
         self._odd: dict[str, list[tuple[RawMessage, SimpleNamespace]]] = {}
-        self._links = self.roles.tree_odometry.open() if self.roles.tree_odometry is not None else None
+        self._tree = self.roles.tree_odometry.open() if self.roles.tree_odometry is not None else None
         self._pairing = self._begin()
 
     def _begin(self) -> FramePairing:
         self.readings += 1
         self._fed: set[str] = set()  # topics that this reading has messages of
-        return FramePairing(
-            self.path,
-            self.roles,
-            self._options,
-            self.camera,
-            0,
-            most_waiting=_MOST_WAITING,
-            over_gaps=False,
-        )
+        return FramePairing(self.roles, self.camera, 0, most_waiting=_MOST_WAITING, over_gaps=False)
 
     @property
     def base_from_camera(self) -> Poses:
@@ -99,27 +180,27 @@ class LiveReader:
 
     @property
     def counts(self) -> ImageCounts:
-        """What became of the images so far."""
+        """Counts of all images so far."""
         now = self._past_counts + self._pairing.left_out.counts
         return ImageCounts(now.read, now.read, now.used, now.skipped)
 
     @property
     def problems(self) -> dict[str, str]:
-        """Of each reason for which this reading left something out: when that was first, to end a sentence."""
+        """Time and problem of the first thing that this reading left out for each reason, to end a sentence."""
         return self._pairing.left_out.problems
 
     @property
     def apart(self) -> str | None:
-        """What to say where odometry is of another time than all images; None elsewhere."""
+        """See `odometry_apart`."""
         return self._pairing.odometry_apart()
 
     @property
     def messages_left_out(self) -> Counter[str]:
-        """How many messages that are no images were left out so far, by reason."""
+        """How many messages other than images were left out so far, by reason."""
         return self._past_messages + self._pairing.left_out.messages
 
     def take(self, raw: RawMessage) -> bool:
-        """Take a message, of whichever topic; what is damaged is counted. Says whether it brought later odometry."""
+        """Take a message; a damaged one is counted. Returns whether it brought later odometry."""
         before_ns, reading = self.odometry_ns, self.readings
         self._take(raw)
         return self.odometry_ns != before_ns or self.readings != reading
@@ -131,23 +212,23 @@ class LiveReader:
         message = decode(self.heard, raw, tolerate=True)
         is_image = raw.topic == self.roles.image.name
         if message is not None and (time_ns := self._stamp(raw, message)) is not None:
-            told = self._clocks.setdefault(raw.topic, ClockOfStream()).take(time_ns, raw.log_time_ns)
+            kind = self._clocks.setdefault(raw.topic, ClockOfStream()).take(time_ns, raw.log_time_ns)
             if is_image:
                 self._arrived_ns[time_ns] = raw.log_time_ns
-            if not self._goes_on(told, raw, message):
+            if not self._goes_on(kind, raw, message):
                 return
         self._feed(raw, message)
 
-    def _goes_on(self, told: Told, raw: RawMessage, message: SimpleNamespace) -> bool:
+    def _goes_on(self, kind: StampKind, raw: RawMessage, message: SimpleNamespace) -> bool:
         """Whether a message belongs to the reading; an odd one waits until it is known whether the clock was set."""
         waiting = self._odd.setdefault(raw.topic, [])
-        if told == "odd":
+        if kind == "odd":
             waiting.append((raw, message))
             if len(waiting) > 2:
                 self._pairing.leave_out_odd(waiting.pop(0)[0])
             return False
-        if told == "stepped":
-            if raw.topic in self._fed:  # else another stream told the same of this clock before
+        if kind == "stepped":
+            if raw.topic in self._fed:  # else another stream showed the same step before
                 self._end()
             for each in waiting:
                 self._feed(*each)
@@ -158,7 +239,6 @@ class LiveReader:
         return True
 
     def _end(self) -> None:
-        """End this reading, and begin the next."""
         self._past_counts, self._past_messages = self.counts, self.messages_left_out
         self._past_counts.skipped["clock was set"] += self._pairing.num_waiting
         self._pairing = self._begin()
@@ -169,30 +249,30 @@ class LiveReader:
         try:
             self._pairing.take(raw, message)
             self._pairing.drop_overtaken()
-        except SequenceError as error:  # damage that a recording would be refused for
+        except SequenceError as error:  # for which a recording would be refused
             self._pairing.left_out.message(f"unusable message on {raw.topic}", raw.log_time_ns, str(error))
 
     def _stamp(self, raw: RawMessage, message: SimpleNamespace) -> int | None:
         """The stamp by which the clock of a stream is watched; None where a message has none that counts."""
         if hasattr(message, "header"):
             return stamp_ns(message.header)
-        if self._links is None or raw.topic != self._links.topic:
+        if self._tree is None or raw.topic != self._tree.topic:
             return None
-        return max((sample.time_ns for sample in self._links.samples(message)[0]), default=None)
+        return max((sample.time_ns for sample in self._tree.samples(message)[0]), default=None)
 
     def newest_frame(self) -> Frame | None:
-        """The newest image that odometry has come to and that was not given before; None where there is none."""
+        """The newest image that odometry has reached and that was not returned before; None where there is none."""
         while len(self._arrived_ns) > 2 * _MOST_WAITING:
             del self._arrived_ns[next(iter(self._arrived_ns))]
         return self._pairing.newest_frame()
 
     def arrived_ns(self, time_ns: int) -> int | None:
-        """When the image of a stamp came, one of the latest; by the clock that messages are logged by."""
+        """Log time of one of the latest images, by its stamp; None of others."""
         return self._arrived_ns.get(time_ns)
 
     @property
     def frame_ns(self) -> int | None:
-        """Stamp that the next motion begins at: of the last frame, or a later one that was settled."""
+        """Stamp at which the next motion begins: of the last frame, or a later one given to `settle`."""
         return self._pairing.previous_ns
 
     @property
@@ -206,11 +286,11 @@ class LiveReader:
         return self._pairing.motion.odom_from_base(time_ns)
 
     def moved_until(self, time_ns: int) -> Odometry | None:
-        """Motion of the camera since the last frame, see `FramePairing.moved_until`."""
+        """See `FramePairing.moved_until`."""
         return self._pairing.moved_until(time_ns)
 
     def settle(self, time_ns: int) -> None:
-        """Have the next motion begin there, see `FramePairing.settle`."""
+        """See `FramePairing.settle`."""
         self._pairing.settle(time_ns)
 
 
@@ -222,23 +302,16 @@ def open_live(
     admit: Callable[[Any], RawMessage | None],
     waiting: Callable[[str], None],
 ) -> LiveReader:
-    """Wait until everything that a reading needs is there.
+    """Wait until everything that a reading needs is there; returns its reader, with all messages so far taken.
 
-    Args:
-        transport: The system.
-        events: Where its messages are put, and whatever else may happen.
-        options: What to read.
-        admit: Called with every event; gives those that are messages to keep. It may raise to wait no longer.
-        waiting: Told what is not there yet: once that is known, and again every five seconds.
-
-    Returns:
-        The reader, which was given all that was heard meanwhile.
+    `events` receives the messages of the system, and other events. `admit` returns the message of an event to keep, or
+    None; it may raise to end the wait. `waiting` is called with the missing thing, at first and every five seconds.
 
     Raises:
-        SequenceError: what is there cannot be used, or there is a choice to make.
+        SequenceError: something cannot be used, or there is a choice to make.
     """
     heard = Heard(transport, events, options=options)
-    changed_s, said_s = time.monotonic(), -math.inf
+    changed_s, reported_s = time.monotonic(), -math.inf
     while True:
         if heard.refresh():
             changed_s = time.monotonic()
@@ -252,8 +325,8 @@ def open_live(
                 for raw in heard.kept():
                     reader.take(raw)
                 return reader
-        if problem is not None and time.monotonic() - said_s >= _SAY_AGAIN_S:
-            said_s = time.monotonic()
+        if problem is not None and time.monotonic() - reported_s >= _REPORT_AGAIN_S:
+            reported_s = time.monotonic()
             waiting(problem)
         again_s = time.monotonic() + _ASK_AGAIN_S
         while (left_s := again_s - time.monotonic()) > 0:

@@ -16,7 +16,7 @@ from filtering.errors import VaporTrackError, require_within
 from sequences.errors import SequenceError
 from sequences.live.transport import Publish, Transport
 from sequences.recordings.bag import Bag
-from sequences.recordings.message_definitions import DEFINITIONS, decoder, encoder
+from sequences.recordings.message_definitions import DEFINITIONS, begins_with_stamp, decoder, encoder
 from sequences.recordings.source import TF_STATIC, RawMessage
 
 _CLOCK, _CLOCK_TYPE = "/clock", "rosgraph_msgs/Clock"
@@ -34,9 +34,9 @@ class ReplayOptions:
     rate: float = 1.0
     """How many seconds of the recording pass in one second."""
     loop: bool = False
-    """Begin anew at the end, again and again."""
+    """Start over at the end, again and again."""
     clock: bool = False
-    """Publish the time of the recording on /clock as well, for nodes with use_sim_time."""
+    """Publish the time of the recording on /clock, too, for nodes with use_sim_time."""
     restamp: bool = False
     """Shift stamps to now, by as much as the times at which messages were logged: those of the headers that messages
     begin with, and of transforms."""
@@ -48,12 +48,7 @@ class ReplayOptions:
 
 
 class Replayed(NamedTuple):
-    """What was published so far.
-
-    Attributes:
-        messages: How many messages.
-        rounds: How often the recording came to its end.
-    """
+    """How many messages were published so far, and how many times the recording came to its end."""
 
     messages: int
     rounds: int
@@ -64,16 +59,12 @@ def replay(
     transport: Transport,
     options: ReplayOptions | None = None,
     *,
-    tell: Callable[[str], None] = lambda _: None,
+    notify: Callable[[str], None] = lambda _: None,
 ) -> Iterator[Replayed]:
-    """Publish all messages of a recording when they were logged; gives what was published so far, after each.
+    """Publish all messages of a recording at the pace of their log times; yields the progress after each.
 
-    Args:
-        path: MCAP file, rosbag2 folder or ROS 1 bag.
-        transport: The system to publish in.
-        options: How.
-        tell: Told which topics are not published (not of ROS 2's encoding, Foxglove's transforms, a clock beside the
-            one asked for), and once of every topic that has messages which cannot be published.
+    `notify` is called with the topics that are not published (not of ROS 2's encoding, Foxglove's transforms, a second
+    clock), and once for every topic with messages that cannot be published.
 
     Raises:
         SequenceError: the recording cannot be read, or nothing in it can be published.
@@ -89,15 +80,14 @@ def replay(
     if not topics:
         raise SequenceError(f"{path}: no topic of ROS 2 (CDR), expected messages that can be published")
     if others := [name for name in bag.topics if name not in topics]:
-        tell(f"not published: {', '.join(others)}")
+        notify(f"not published: {', '.join(others)}")
     publish: dict[str, Publish] = {
         name: transport.advertise(name, topic.type, latched=name == TF_STATIC) for name, topic in topics.items()
     }
     tick = transport.advertise(_CLOCK, _CLOCK_TYPE) if options.clock else None
     latched = [raw.data for raw in bag.messages([TF_STATIC])] if TF_STATIC in topics else []
-    if latched:  # the last message is kept for those who come late: it must have all transforms
-        static = _merged(latched)
-        publish[TF_STATIC](static)
+    if latched:  # late subscribers get the last message only: it must have all transforms
+        publish[TF_STATIC](_merged(latched))
     time.sleep(options.delay_s)
     messages = rounds = 0
     damaged: set[str] = set()
@@ -105,7 +95,7 @@ def replay(
         pace = _Pace(options.rate, tick)
         streams = [bag.messages([name]) for name in topics if name != TF_STATIC]  # a file may have one after the other
         for raw in heapq.merge(*streams, key=lambda raw: raw.log_time_ns):
-            if raw.type != topics[raw.topic].type:  # Foxglove's transforms, under the name that they stand for
+            if raw.type != topics[raw.topic].type:  # Foxglove's transforms, renamed to /tf
                 continue
             shift_ns = pace.wait_for(raw.log_time_ns) - raw.log_time_ns
             try:
@@ -114,7 +104,7 @@ def replay(
             except VaporTrackError as error:
                 if raw.topic not in damaged:
                     damaged.add(raw.topic)
-                    tell(f"{raw.topic}: message logged at {raw.log_time_ns} ns is not published: {error}")
+                    notify(f"{raw.topic}: message logged at {raw.log_time_ns} ns is not published: {error}")
                 continue
             messages += 1
             yield Replayed(messages, rounds)
@@ -125,7 +115,7 @@ def replay(
 
 
 class _Pace:
-    """When messages are due: by the time since the first one."""
+    """Waits until messages are due, by the log time since the first one."""
 
     def __init__(self, rate: float, tick: Publish | None) -> None:
         self._rate, self._tick = rate, tick
@@ -134,18 +124,18 @@ class _Pace:
         self._ticked_ns = 0
 
     def wait_for(self, log_time_ns: int) -> int:
-        """Wait until a message is due; gives the time at which it is, by the clock of this machine."""
+        """Wait until a message is due; returns its due time by the clock of this machine."""
         if self._first_ns is None:
             self._first_ns = log_time_ns
         due_s = (log_time_ns - self._first_ns) * 1e-9 / self._rate
         while (left_s := self._begin_s + due_s - time.monotonic()) > 0:
-            self._tell_time()
+            self._publish_time()
             most_s = _CLOCK_EVERY_NS * 1e-9 if self._tick is not None else _LONGEST_SLEEP_S
             time.sleep(min(left_s, most_s))
-        self._tell_time()
+        self._publish_time()
         return self._begin_ns + round(due_s * 1e9)
 
-    def _tell_time(self) -> None:
+    def _publish_time(self) -> None:
         if self._tick is None or self._first_ns is None:
             return
         now_ns = self._first_ns + round((time.monotonic() - self._begin_s) * self._rate * 1e9)
@@ -158,13 +148,13 @@ def _merged(latched: list[bytes]) -> bytes:
     """All transforms of several messages in one, the latest of each child; damaged messages are left out."""
     found: dict[str, SimpleNamespace] = {}
     for data in latched:
-        with suppress(Exception):  # whatever reading damaged bytes raises
+        with suppress(Exception):  # damaged bytes raise any
             found |= {t.child_frame_id: t for t in decoder(_TFS)(data).transforms}
     return encoder(_TFS)({"transforms": [_as_fields(t) for t in found.values()]})
 
 
 def _as_published(raw: RawMessage) -> bytes:
-    """Little-endian bytes, as DDS takes them. Raises SequenceError where a message cannot be brought to that."""
+    """Little-endian bytes, as DDS takes them. Raises SequenceError where a message cannot be converted."""
     if len(raw.data) <= _CDR_HEADER:
         raise SequenceError(f"{len(raw.data)} bytes, expected more than a header of {_CDR_HEADER}")
     if raw.data[1] & 1:
@@ -177,25 +167,18 @@ def _as_published(raw: RawMessage) -> bytes:
 def _read(data: bytes, message_type: str) -> SimpleNamespace:
     try:
         return decoder(message_type)(data)
-    except Exception as error:  # whatever reading damaged bytes raises
+    except Exception as error:  # damaged bytes raise any
         raise SequenceError(f"no {message_type}: {type(error).__name__}: {error}") from error
 
 
-def _begins_with_stamp(raw: RawMessage) -> bool:
-    definition = DEFINITIONS.get(raw.type) or raw.definition.decode(errors="replace")
-    lines = [line.split("#")[0].strip() for line in definition.splitlines()]
-    first = next((line for line in lines if line and "=" not in line), "")
-    return first.startswith(("std_msgs/Header", "Header ", "builtin_interfaces/Time"))
-
-
 def _restamped(data: bytes, raw: RawMessage, shift_ns: int) -> bytes:
-    """A message with a later stamp in its header, or in those of its transforms; any other as it is."""
+    """A message with later stamps in its header or transforms; other messages unchanged."""
     if raw.type == _TFS:
         transforms = [_as_fields(t) for t in _read(data, _TFS).transforms]
         for transform in transforms:
             transform["header"]["stamp"] = _stamp(_ns(**transform["header"]["stamp"]) + shift_ns)
         return encoder(_TFS)({"transforms": transforms})
-    if len(data) < _CDR_HEADER + _STAMP.size or not _begins_with_stamp(raw):
+    if len(data) < _CDR_HEADER + _STAMP.size or not begins_with_stamp(raw.type, raw.definition):
         return data
     stamp = _stamp(_ns(*_STAMP.unpack_from(data, _CDR_HEADER)) + shift_ns)
     return data[:_CDR_HEADER] + _STAMP.pack(*stamp.values()) + data[_CDR_HEADER + _STAMP.size :]
@@ -211,7 +194,7 @@ def _ns(sec: int, nanosec: int) -> int:
 
 
 def _as_fields(value: Any) -> Any:
-    """Fields of a message that was read, as they are written."""
+    """Fields of a decoded message, as `encoder` takes them."""
     if isinstance(value, SimpleNamespace) or hasattr(value, "__slots__"):
         names = getattr(value, "__slots__", None) or vars(value)
         return {name: _as_fields(getattr(value, name)) for name in names}

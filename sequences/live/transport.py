@@ -1,4 +1,4 @@
-"""The messages of a running system, whatever network carries them; and joining that network."""
+"""The messages of a running system, by any network; and joining that network."""
 
 from __future__ import annotations
 
@@ -13,13 +13,10 @@ from sequences.recordings.source import RawMessage
 
 @dataclass(frozen=True)
 class Offer:
-    """A topic that somebody publishes.
+    """A topic that somebody publishes, by its name in ROS, such as /camera/image, and its type.
 
-    Attributes:
-        topic: Its name as ROS has it, such as /camera/image.
-        type: Its type, such as `sensor_msgs/Image`.
-        reliable: Whether all its publishers send again what was lost.
-        latched: Whether all its publishers keep the last messages for those who come later, as /tf_static does.
+    It is `reliable` where all its publishers resend lost messages, and `latched` where all keep the last messages for
+    late subscribers, as of /tf_static.
     """
 
     topic: str
@@ -34,44 +31,35 @@ Publish = Callable[[bytes], None]
 
 @runtime_checkable
 class Transport(Protocol):
-    """Topics of a running system: offered, heard and published."""
+    """Topics of a running system: offered, subscribed and published."""
 
     @property
     def name(self) -> str:
-        """What a person calls it, such as "ROS domain 0"."""
+        """Its name, such as "ROS domain 0"."""
         ...
 
     def offers(self) -> list[Offer]:
-        """What others publish now, one of every topic and type, sorted by name."""
+        """The topics that others publish now, one of every topic and type, sorted by name."""
         ...
 
     def subscribe(self, offer: Offer, deliver: Callable[[RawMessage], None]) -> None:
-        """Have all messages of a topic delivered from now on, whoever publishes them, from a thread of its own.
+        """Deliver all messages of a topic from now on, in their order; replaces an earlier subscription.
 
-        A second subscription of a topic takes the place of the first.
-
-        Args:
-            offer: The topic, and how it is published.
-            deliver: Called with every message, in the order in which they come; it must not wait.
+        `deliver` is called in a thread of the transport; it must not wait.
         """
         ...
 
     def advertise(self, topic: str, message_type: str, *, latched: bool = False) -> Publish:
-        """Begin to publish a topic, reliably; of a latched one late subscribers get the last message, too."""
+        """Publish a topic, reliably; late subscribers of a latched one get the last message."""
         ...
 
     def close(self) -> None:
-        """Leave the system: nothing is delivered any more."""
+        """Leave the system; nothing is delivered after that."""
         ...
 
 
 def join(options: DdsOptions | None = None) -> Transport:
-    """Become a participant of a ROS 2 system.
-
-    Raises:
-        SequenceError: cyclonedds is not installed.
-        VaporTrackError: the domain cannot be joined.
-    """
+    """Become a participant of a ROS 2 system. Raises VaporTrackError where that is impossible."""
     try:
         from sequences.live.dds import DdsTransport
     except ImportError as error:

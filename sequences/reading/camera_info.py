@@ -13,8 +13,7 @@ from sequences.errors import SequenceError
 from sequences.frame import Camera
 from sequences.images.undistortion import DistortionModel, Lens, pinhole_of, undistorted
 from sequences.recordings.messages import stamp_ns
-from sequences.recordings.source import MessageSource, Topic
-from sequences.recordings.topics import first
+from sequences.recordings.source import MessageSource, Topic, first
 
 _MODELS: dict[str, DistortionModel] = {
     "": "plumb_bob",
@@ -28,30 +27,23 @@ _MODELS: dict[str, DistortionModel] = {
 
 
 class ImageCamera:
-    """What a recording says of the camera of its images, and the images as a pinhole camera would have taken them.
-
-    A camera that zooms, or is set to another mode, says so by other intrinsics from then on.
+    """The camera of a recording's images, which may zoom or change its mode, and the images as of a pinhole camera.
 
     Attributes:
-        camera: Intrinsics of the first images, of the stated size, undistorted if so wished; None where unknown.
+        camera: Intrinsics of the first images, of the stated size, undistorted unless declined; None where unknown.
         notices: What a person should know of that.
     """
 
     def __init__(self, bag: MessageSource, info: Topic | None, image: Topic, *, undistort: bool = True) -> None:
-        """Read the first message of the intrinsics.
+        """Read the first message of the intrinsics; None for no topic of them.
 
-        Args:
-            bag: The recording.
-            info: Topic of the intrinsics, None for none.
-            image: Topic of the images: one that ROS calls rectified is taken to be.
-            undistort: Whether to undistort; else the stated intrinsics are taken as those of a pinhole camera.
-
-        Raises:
-            SequenceError: the message says what no camera has.
+        Images whose topic has a name such as image_rect are undistorted already. Without `undistort` the intrinsics are
+        taken as those of a pinhole camera. Raises SequenceError where they are impossible.
         """
         self.notices: list[str] = []
         self.camera: Camera | None = None
-        self._rectified, self._undistort = is_rectified(image.name), undistort
+        self._rectified = any(part.startswith("image_rect") for part in image.name.split("/"))
+        self._undistort = undistort
         self._from_ns: list[int] = []  # when each of the lenses came into force
         self._lenses: list[Camera | Lens | None] = []
         if info is None or not info.num_messages:
@@ -65,9 +57,9 @@ class ImageCamera:
             ) from error
 
     def take(self, message: SimpleNamespace) -> None:
-        """Take a message of the intrinsics. Raises SequenceError where it says what no camera has."""
+        """Take a message of the intrinsics. Raises SequenceError where they are impossible."""
         lens = self._read(message)
-        pinhole = None if lens is None else pinhole_of(lens)  # or none can be made of it
+        pinhole = None if lens is None else pinhole_of(lens)  # raises where the distortion folds the image
         if not self._lenses:
             self.camera = pinhole
         time_ns = stamp_ns(message.header)
@@ -103,7 +95,7 @@ class ImageCamera:
     def seen(
         self, image: UInt8[np.ndarray, "height width 3"], time_ns: int
     ) -> tuple[UInt8[np.ndarray, "height width 3"], Camera | None]:
-        """An image of the recording, undistorted, and its camera, as `undistorted` has it; later ones come next."""
+        """An image, undistorted, and its camera, see `undistorted`; stamps must not decrease from call to call."""
         if before := max(bisect_right(self._from_ns, time_ns) - 1, 0):
             del self._from_ns[:before], self._lenses[:before]
         lens = self._lenses[0] if self._lenses else None
@@ -111,8 +103,8 @@ class ImageCamera:
         if camera is None and lens is not None:
             stated = lens.camera if isinstance(lens, Lens) else lens
             self._notice(
-                f"images are {image.shape[1]} x {image.shape[0]} pixels, but their camera is said to have"
-                f" {stated.width} x {stated.height}: what is said of it is not used, and images are not undistorted"
+                f"images have {image.shape[1]} x {image.shape[0]} pixels, but their camera info states"
+                f" {stated.width} x {stated.height}: it is not used, and images are not undistorted"
             )
         return seen, camera
 
@@ -121,13 +113,8 @@ class ImageCamera:
             self.notices.append(notice)
 
 
-def is_rectified(image_topic: str) -> bool:
-    """Whether ROS' names say that a topic's images are undistorted already: image_rect, image_rect_color."""
-    return any(part.startswith("image_rect") for part in image_topic.split("/"))
-
-
 def _binned(lens: Camera | Lens, message: SimpleNamespace) -> Camera | Lens:
-    """The part of the sensor that was read out, and its pixels added up: intrinsics are stated before that."""
+    """The lens after cropping to the region of interest and binning, before which intrinsics are stated."""
     roi = message.roi
     camera = lens.camera if isinstance(lens, Lens) else lens
     if roi.width and roi.height:

@@ -1,44 +1,42 @@
-"""How many images a recording states, and what became of each."""
+"""How many images a recording states, what became of each, and what else a reading leaves out."""
 
 from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Int64
 
+from sequences.errors import SequenceError
 from sequences.trajectories.interpolation import MAX_ODOMETRY_GAP_S
 
 OUTSIDE = "outside the stretch asked for"
 BEFORE, AFTER = "before odometry begins", "after odometry ends"
 IN_GAP = f"in a gap of odometry over {MAX_ODOMETRY_GAP_S:g} s"
-NOT_COME = "odometry had not come yet"
-"""To a running system: of a recording, odometry is read as far as it has to be."""
+NOT_COME = "odometry had not come yet"  # to a running system: of a recording, odometry is read as far as it has to be
 OVERTAKEN = "a newer image was there"
-NO_ESTIMATE = "no estimate"
-"""Frames that others' estimates leave out, as those of a part of a walk do: they were not asked for either."""
+NO_ESTIMATE = "no estimate"  # of others: frames that their files leave out
+ODD = "time stamp unlike those before"
 _NOT_ASKED = (OUTSIDE, NO_ESTIMATE)
 _FEW, _VERY_FEW = 0.5, 0.1  # fractions of the images asked for
+_MOST_UNUSABLE = 0.5
 
 
-def uncovered(time_ns: int, odometry_ns: Int64[np.ndarray, " n"]) -> str:
-    """The reason to count where odometry of such stamps does not cover a time."""
-    if time_ns > odometry_ns[-1]:
+def uncovered(time_ns: int, odometry_ns: Int64[np.ndarray, " n"] | tuple[int, int] | None) -> str:
+    """The reason to count where odometry of such stamps (in order) does not cover a time."""
+    if odometry_ns is None or time_ns > odometry_ns[-1]:
         return AFTER
     return BEFORE if time_ns < odometry_ns[0] else IN_GAP
 
 
 @dataclass
 class ImageCounts:
-    """Images of one reading; once it is complete, `stated` = `used` + all of `skipped`: a reader sees to that.
+    """Images of one reading. Once it is complete, `stated` is `used` plus all of `skipped`, by reason.
 
-    Attributes:
-        stated: How many there are, as the file states it, or as counted where it does not.
-        read: How many came: fewer where reading ended behind the segment asked for.
-        used: How many became frames.
-        skipped: How many did not, by reason.
+    `stated` is counted where the file makes no statement. Fewer are `read` where reading ended behind the segment.
     """
 
     stated: int
@@ -48,7 +46,7 @@ class ImageCounts:
 
     @property
     def are_complete(self) -> bool:
-        """Whether all images are accounted for: who takes frames may have stopped before."""
+        """Whether all images are accounted for; not where the reading was abandoned."""
         return self.stated == self.used + self.skipped.total()
 
     @property
@@ -61,7 +59,8 @@ class ImageCounts:
         """A sentence where fewer than half of the images asked for were used, with the main reason; None elsewhere."""
         if not self.are_complete or self.used >= _FEW * self._asked:
             return None
-        ((reason, number),) = self._lost.most_common(1)
+        lost = Counter({reason: number for reason, number in self.skipped.items() if reason not in _NOT_ASKED})
+        ((reason, number),) = lost.most_common(1)
         return f"Only {self.used} of {self._asked} images were used: {number} were skipped: {reason}."
 
     def taken(self, number: int) -> ImageCounts:
@@ -76,17 +75,67 @@ class ImageCounts:
 
     def as_json(self) -> dict[str, Any]:
         """For a report."""
-        return {
-            "stated": self.stated,
-            "read": self.read,
-            "used": self.used,
-            "skipped": dict(sorted(self.skipped.items())),
-        }
+        return {**vars(self), "skipped": dict(sorted(self.skipped.items()))}
 
     @property
     def _asked(self) -> int:
         return self.stated - sum(self.skipped[reason] for reason in _NOT_ASKED)
 
+
+@dataclass
+class Unusable:
+    """How many messages of a topic, or poses in them, cannot be used: NaN, no rotation, undecodable bytes.
+
+    `what` names them in the plural. `first` has time and problem of the first, to end a sentence with.
+    """
+
+    what: str
+    topic: str
+    total: int = 0
+    number: int = 0
+    first: str = ""
+
+    def note(self, time_ns: int, problem: str) -> None:
+        """Count one that cannot be used."""
+        self.number += 1
+        self.first = self.first or f" (first at {time_ns} ns: {problem})"
+
     @property
-    def _lost(self) -> Counter[str]:
-        return Counter({reason: number for reason, number in self.skipped.items() if reason not in _NOT_ASKED})
+    def notices(self) -> list[str]:
+        """What a person should know of it."""
+        return [f"{self.topic}: {self._summary}: left out"] if self.number else []
+
+    @property
+    def _summary(self) -> str:
+        return f"{self.number} of {self.total} {self.what} cannot be used{self.first}"
+
+    def require_few(self, path: Path) -> None:
+        """Raise SequenceError where more than half cannot be used."""
+        if self.number > _MOST_UNUSABLE * self.total:
+            raise SequenceError(f"{path}: {self.topic}: {self._summary}; expected at most one in two")
+
+
+class LeftOut:
+    """Images and other messages that one reading leaves out, by reason.
+
+    `problems` has time and problem of the first of each reason, to end a sentence with.
+    """
+
+    def __init__(self, num_images: int) -> None:
+        self.counts = ImageCounts(num_images)
+        self.messages: Counter[str] = Counter()
+        self.problems: dict[str, str] = {}
+
+    def image(self, reason: str, time_ns: int, problem: str | None = None) -> None:
+        """Leave an image out."""
+        self._note(reason, time_ns, problem)
+        self.counts.skipped[reason] += 1
+
+    def message(self, reason: str, time_ns: int, problem: str | None = None) -> None:
+        """Leave a message out that is no image."""
+        self._note(reason, time_ns, problem)
+        self.messages[reason] += 1
+
+    def _note(self, reason: str, time_ns: int, problem: str | None) -> None:
+        if reason not in self.problems:
+            self.problems[reason] = f" (first at {time_ns} ns{f': {problem}' if problem else ''})"

@@ -1,104 +1,121 @@
-"""The state of one reading: images wait, still encoded, until odometry and true poses have come as far."""
+"""The state of one reading: images wait, still encoded, until odometry and true poses have come as far.
+
+Of a recording, each topic beside the images is read as far as an image needs it, however late it was logged.
+"""
 
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator, Mapping
 from types import SimpleNamespace
 
 from filtering.motion import Odometry
 from sequences.errors import SequenceError
 from sequences.frame import Frame
 from sequences.images.headers import why_left_out
-from sequences.images.streams import Picture
-from sequences.options import SequenceOptions
+from sequences.images.video import Picture
 from sequences.reading.camera_info import ImageCamera
-from sequences.reading.counts import NOT_COME, OUTSIDE, OVERTAKEN
-from sequences.reading.left_out import ODD, LeftOut
-from sequences.reading.motion import MotionOfCamera
-from sequences.reading.requested_segment import RequestedSegment
+from sequences.reading.counts import NOT_COME, ODD, OUTSIDE, OVERTAKEN, LeftOut, uncovered
+from sequences.reading.motion import MotionOfCamera, odometry_apart
 from sequences.reading.roles import Roles
-from sequences.reading.stamps import Stamps, odometry_apart
+from sequences.reading.timeline import Dated, Key, Timeline
 from sequences.recordings.messages import stamp_ns
 from sequences.recordings.source import RawMessage
 
-MOST_WAITING = 64
+_MOST_WAITING = 64
+_HORIZON_NS = 10 * 10**9  # ahead of an image, within which the poses of its time are expected
+_FORGET_EVERY = 500  # messages
+
+
+class RequestedSegment:
+    """The segment of a recording that is asked for, in seconds after its first image.
+
+    Attributes:
+        is_stopped: Whether no more frames are asked for.
+    """
+
+    def __init__(self, begin_ns: int, start_s: float, duration_s: float | None) -> None:
+        self.is_stopped = False
+        self._first_ns = begin_ns + round(start_s * 1e9) if start_s else None
+        self._last_ns = None if duration_s is None else begin_ns + round((start_s + duration_s) * 1e9)
+
+    def has(self, time_ns: int) -> bool:
+        """Whether an image is of the segment; the first packet of a video need not hold its first image."""
+        return (self._first_ns is None or time_ns >= self._first_ns) and not self.ends_before(time_ns)
+
+    def ends_before(self, time_ns: int) -> bool:
+        """Whether all images from a time on lie behind the segment."""
+        return self.is_stopped or (self._last_ns is not None and time_ns > self._last_ns)
 
 
 class FramePairing:
     """Messages in, in the order of a recording; frames out, in the order of their stamps.
 
     Attributes:
-        left_out: What becomes of the images, and what is left out.
-        segment: Which images are asked for.
-        motion: Odometry and true poses.
-        come_to: Asked for what an image needs: whether odometry and true poses have come as far as its stamp. Who can
-            read on does so, and says yes.
+        reaches: Whether odometry and true poses have come as far as a stamp; `MotionStreams` reads on first.
+        previous_ns: Stamp of the last frame, or a later one given to `settle`; None before any.
+        frames_span_ns: Stamps of the first and the last frame; None before any.
     """
 
     def __init__(
         self,
-        path: Path,
         roles: Roles,
-        options: SequenceOptions,
         camera: ImageCamera,
         num_images: int,
         *,
         begin_ns: int = 0,
-        most_waiting: int = MOST_WAITING,
+        most_waiting: int = _MOST_WAITING,
         lateness_ns: int = 0,
         over_gaps: bool = True,
     ) -> None:
-        """Set up a reading that no message was taken into yet.
+        """Set up a reading that took no message yet.
 
         Args:
-            path: What messages of errors call the recording.
-            roles: Which topic is what.
-            options: What to read.
-            camera: Of the images.
-            num_images: How many there are.
+            roles: Roles of the topics.
+            camera: The camera of the images.
+            num_images: Number of images that the recording states.
             begin_ns: Stamp of the first image, from which the segment asked for is counted.
             most_waiting: Images held, still encoded, until odometry and true poses reach them.
-            lateness_ns: Images are held until one so much later has come, and so put in the order of their stamps.
-            over_gaps: Whether odometry leads over times without messages, by the poses before and after them.
+            lateness_ns: Images are held until one so much later has come, to order them by their stamps.
+            over_gaps: Whether odometry leads over times without messages.
         """
         self._most_waiting, self._lateness_ns = most_waiting, lateness_ns
         self.left_out = LeftOut(num_images)
-        self.segment = RequestedSegment(begin_ns, options.start_s, options.duration_s)
-        self.motion = MotionOfCamera(path, roles, options, self.left_out, over_gaps=over_gaps)
-        self.come_to: Callable[[int], bool] = self.motion.reaches
-        self._path, self._roles, self._camera = path, roles, camera
+        self.segment = RequestedSegment(begin_ns, roles.options.start_s, roles.options.duration_s)
+        self.motion = MotionOfCamera(roles, self.left_out, over_gaps=over_gaps)
+        self.reaches: Callable[[int], bool] = self.motion.reaches
+        self._roles, self._camera = roles, camera
         self._counts = self.left_out.counts
         self._images = roles.open_images()
-        # A heap: what they are ordered by, how many came before, stamps, and messages, None for lost ones.
+        # A heap: order, number of images before, stamp, and message, None for a lost one.
         self._waiting: list[tuple[int, int, int, SimpleNamespace | None]] = []
-        self._image_stamps = Stamps()
-        self._previous_ns: int | None = None  # stamp of the last frame
+        self._images_ns: tuple[int, int] | None = None  # earliest and latest stamp
+        self.previous_ns: int | None = None
         self._previous_covered = False  # by odometry
-        self._span_ns: tuple[int, int] | None = None  # stamps of the first and the last frame
+        self.frames_span_ns: tuple[int, int] | None = None
 
     def take(self, raw: RawMessage, message: SimpleNamespace | None) -> None:
-        """Take one message in, of whichever topic; None for bytes that are no message.
-
-        Raises:
-            SequenceError: a camera that should be fixed moves.
-        """
+        """Take a message; None for undecodable bytes. Raises SequenceError where a fixed camera moves."""
         if raw.topic == self._roles.image.name:
             self._counts.read += 1
             self._take_image(raw, message)
         else:
             info = self._roles.camera_info
             if message is not None and info is not None and raw.topic == info.name:
-                self._take_camera(raw, message)
-            before_images = self._previous_ns is None and not self._waiting
+                try:
+                    self._camera.take(message)
+                except SequenceError as error:
+                    self.left_out.message("unusable intrinsics", raw.log_time_ns, str(error))
+            before_images = self.previous_ns is None and not self._waiting
             self.motion.take(raw, message, before_images=before_images)
 
-    def _take_camera(self, raw: RawMessage, message: SimpleNamespace) -> None:
-        try:
-            self._camera.take(message)
-        except SequenceError as error:
-            self.left_out.message("unusable intrinsics", raw.log_time_ns, str(error))
+    def take_dated(self, dated: Dated) -> None:
+        """Take a message of a recording without its odd stamps."""
+        if dated.num_odd:
+            self.leave_out_odd(dated.raw, dated.num_odd)
+        if dated.stamps_ns or not dated.num_odd:
+            self.take(dated.raw, dated.message)
 
     def leave_out_odd(self, raw: RawMessage, number: int = 1) -> None:
         """Leave out a message whose stamp is unlike those around it, or so many transforms of it."""
@@ -112,21 +129,22 @@ class FramePairing:
     def _leave_out_image(self, reason: str, time_ns: int) -> None:
         self.left_out.image(reason, time_ns)
         if self._images.remembers:  # those after it build on it
-            self._wait(self._image_stamps.end_ns, None)
+            self._wait(self._latest_ns, None)
 
     def _take_image(self, raw: RawMessage, message: SimpleNamespace | None) -> None:
         if message is None:
             self._leave_out_image("undecodable image", raw.log_time_ns)
             return
         time_ns = stamp_ns(message.header)
-        self._image_stamps.take(time_ns)
+        begin_ns, end_ns = self._images_ns or (time_ns, time_ns)
+        self._images_ns = min(begin_ns, time_ns), max(end_ns, time_ns)
         if self._images.remembers or self.segment.has(time_ns):
             self._wait(time_ns, message)
         else:
             self._counts.skipped[OUTSIDE] += 1
 
     def _wait(self, time_ns: int, message: SimpleNamespace | None) -> None:
-        """Have an image wait: in the order of stamps, or as it came where those after it build on it."""
+        """Keep an image: in the order of stamps, or as it came where those after it build on it."""
         order = 0 if self._images.remembers else time_ns
         heapq.heappush(self._waiting, (order, self._counts.read, time_ns, message))
 
@@ -164,13 +182,11 @@ class FramePairing:
     @property
     def is_over(self) -> bool:
         """Whether all images that may yet come lie behind the segment asked for."""
-        span = self._image_stamps.span_ns
-        return self.segment.is_stopped or (span is not None and self.segment.ends_before(span[1] - self._lateness_ns))
+        return self._images_ns is not None and self.segment.ends_before(self._latest_ns - self._lateness_ns)
 
     @property
-    def previous_ns(self) -> int | None:
-        """Stamp of the last frame, or a later one that a motion was asked for until; None before any."""
-        return self._previous_ns
+    def _latest_ns(self) -> int:
+        return self._images_ns[1] if self._images_ns else 0
 
     @property
     def num_waiting(self) -> int:
@@ -178,13 +194,12 @@ class FramePairing:
         return len(self._waiting)
 
     def _is_due(self, time_ns: int, at_end: bool) -> bool:
-        """Whether no image before this one is to be expected any more, and odometry and true poses have come as far."""
+        """Whether no earlier image is to be expected, and odometry and true poses have come as far."""
         is_too_many = at_end or len(self._waiting) > self._most_waiting
-        in_order = self._images.remembers or self._image_stamps.end_ns - time_ns >= self._lateness_ns
-        return (is_too_many or in_order) and (self.come_to(time_ns) or is_too_many)
+        in_order = self._images.remembers or self._latest_ns - time_ns >= self._lateness_ns
+        return (is_too_many or in_order) and (self.reaches(time_ns) or is_too_many)
 
     def _frame_asked_for(self, picture: Picture) -> Frame | None:
-        """The frame of an image of the segment, which is counted; None elsewhere."""
         if not self.segment.has(picture.time_ns):
             self._counts.skipped[OUTSIDE] += 1
             return None
@@ -194,14 +209,14 @@ class FramePairing:
 
     def _frame(self, picture: Picture) -> Frame | None:
         """The frame of an image; None, and a count of why, where it is skipped."""
-        time_ns, previous_ns = picture.time_ns, self._previous_ns
+        time_ns, previous_ns = picture.time_ns, self.previous_ns
         if picture.skipped:
             return self.left_out.image(picture.skipped, time_ns)
         if previous_ns is not None and time_ns <= previous_ns:
             return self.left_out.image("time stamp not increasing", time_ns)
         covered = self.motion.covers(time_ns)
         if self._roles.odometry_required and not covered:
-            return self.left_out.image(self.motion.why_uncovered(time_ns), time_ns)
+            return self.left_out.image(uncovered(time_ns, self.motion.odometry_span_ns), time_ns)
         try:
             image = picture.decode()
         except SequenceError as error:
@@ -209,45 +224,116 @@ class FramePairing:
         odometry = self._odometry_until(time_ns) if covered else None
         truth = self.motion.true_pose(time_ns)
         self.motion.forget_before(time_ns)
-        self._previous_ns, self._previous_covered = time_ns, covered
-        self._span_ns = (self._span_ns[0] if self._span_ns else time_ns, time_ns)
+        self.previous_ns, self._previous_covered = time_ns, covered
+        self.frames_span_ns = (self.frames_span_ns[0] if self.frames_span_ns else time_ns, time_ns)
         image, camera = self._camera.seen(image, time_ns)
         return Frame(time_ns, image, odometry, truth, camera)
 
     def _odometry_until(self, time_ns: int) -> Odometry | None:
-        """Motion of the camera from the last frame to a covered time; None where it is unknown."""
-        if self._previous_ns is None or not self._previous_covered:
+        if self.previous_ns is None or not self._previous_covered:
             return None
-        return self.motion.odometry_between(self._previous_ns, time_ns)
+        return self.motion.odometry_between(self.previous_ns, time_ns)
 
     def moved_until(self, time_ns: int) -> Odometry | None:
         """Motion of the camera since the last frame, for use between images; None where it is unknown."""
-        previous_ns = self._previous_ns
+        previous_ns = self.previous_ns
         if previous_ns is None or time_ns <= previous_ns or not self.motion.covers(time_ns):
             return None
         return self._odometry_until(time_ns)
 
     def settle(self, time_ns: int) -> None:
-        """Have the next motion begin there, as if it were of a frame: images of before come too late from now on."""
-        self._previous_ns, self._previous_covered = time_ns, self.motion.covers(time_ns)
+        """Begin the next motion there, as at a frame; earlier images are then too late."""
+        self.previous_ns, self._previous_covered = time_ns, self.motion.covers(time_ns)
         self.motion.forget_before(time_ns)
 
     def account_for_the_rest(self) -> None:
-        """Count the images that were not read as outside the segment; raise SequenceError where one is missing."""
+        """Count images that were not read as outside the segment. Raises SequenceError where one is missing."""
         counts = self._counts
         if unread := counts.stated - counts.read:
             counts.skipped[OUTSIDE] += unread
         if not counts.are_complete:
             raise SequenceError(
-                f"{self._path}: {self._roles.image.name}: {counts.used} images used and"
+                f"{self._roles.path}: {self._roles.image.name}: {counts.used} images used and"
                 f" {counts.skipped.total()} skipped, expected the {counts.stated} that are stated"
             )
 
     def odometry_apart(self) -> str | None:
-        """What to say where odometry is of another time than all images: by another clock. None elsewhere."""
-        return odometry_apart(self._image_stamps.span_ns, self.motion.odometry_span_ns)
+        """See `odometry_apart`."""
+        return odometry_apart(self._images_ns, self.motion.odometry_span_ns)
+
+
+class MotionStreams:
+    """The `watched` topics beside the images, see `Timeline`, each read as far as an image of the pairing needs it."""
+
+    def __init__(
+        self, timeline: Timeline, watched: Mapping[str, Collection[Key] | None], pairing: FramePairing
+    ) -> None:
+        self._topics = [_TopicCursor(timeline, topic, links) for topic, links in watched.items()]
+        self._pairing = pairing
+        pairing.reaches = self._read_until
+        self._num_read = 0
+
+    def _read_until(self, time_ns: int) -> bool:
+        """Read all that determines the motion at a time; true, as nothing more need be waited for."""
+        for topic in self._topics:
+            while topic.is_behind(time_ns) and self._read(topic, time_ns):
+                pass
+        while not self._pairing.motion.reaches(time_ns):
+            behind = [topic for topic in self._topics if topic.latest_ns < time_ns + _HORIZON_NS]
+            came = [self._read(topic, time_ns) for topic in behind]
+            if not any(came):
+                break
+        return True
+
+    def finish(self) -> None:
+        """Count the rest undecoded. Raises SequenceError where a topic lacks messages that its file states."""
+        for topic in self._topics:
+            topic.is_over = True
+            for _ in topic.messages:
+                pass
+
+    def _read(self, topic: _TopicCursor, time_ns: int) -> bool:
+        dated = next(topic.messages, None)
+        if dated is None:
+            topic.is_over = True
+            return False
+        topic.note(dated)
+        self._pairing.take_dated(dated)
+        self._num_read += 1
+        # After the first frame, odometry since the latest one will be asked for.
+        if self._num_read % _FORGET_EVERY == 0 and self._pairing.previous_ns is None:
+            self._pairing.motion.forget_before(min(time_ns, *(each.settled_ns for each in self._topics)))
+        return True
+
+
+class _TopicCursor:
+    """How far one topic was read; `is_over` where no more is wanted."""
+
+    def __init__(self, timeline: Timeline, topic: str, links: Collection[Key] | None) -> None:
+        keys = [("", topic)] if links is None else links
+        self._streams = {key: timeline.streams[key] for key in keys if key in timeline.streams}
+        self._num_read = Counter[Key]()
+        self._latest_ns: dict[Key, int] = {}
+        self.latest_ns = -(1 << 63)
+        self.is_over = False
+        self.messages: Iterator[Dated] = timeline.messages(topic, until=lambda _: self.is_over)
+
+    def is_behind(self, time_ns: int) -> bool:
+        """Whether more must be read to know the motion at a time."""
+        if self.is_over or self.latest_ns >= time_ns + _HORIZON_NS:
+            return False
+        return any(self._num_read[key] < times.num_until(time_ns) for key, times in self._streams.items())
 
     @property
-    def frames_span_ns(self) -> tuple[int, int] | None:
-        """Stamps of the first and the last frame; None before any."""
-        return self._span_ns
+    def settled_ns(self) -> int:
+        """Before this time no message is left to read."""
+        if self.is_over or not self._streams:
+            return 1 << 63
+        return min(self._latest_ns.get(key, -(1 << 63)) - times.lateness_ns for key, times in self._streams.items())
+
+    def note(self, dated: Dated) -> None:
+        """Count a message that was read."""
+        self._num_read.update(dated.keys)
+        for key, time_ns in dated.stamps_ns:
+            self._latest_ns[key] = max(time_ns, self._latest_ns.get(key, time_ns))
+            self.latest_ns = max(self.latest_ns, time_ns)

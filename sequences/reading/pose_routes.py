@@ -1,4 +1,4 @@
-"""Where poses over time come from: a topic, tf or a file."""
+"""Where odometry of tf and true poses come from: the topic, frame or file of an option, else the only candidate."""
 
 from __future__ import annotations
 
@@ -12,18 +12,24 @@ from sequences.errors import NotFoundError, SequenceError
 from sequences.files.rows import Rows
 from sequences.frame import Trajectory
 from sequences.options import SequenceOptions
-from sequences.reading.extrinsics import Extrinsics, Rig, read_tree
-from sequences.reading.linked_poses import LinkedPoses, frames_of_topic, poses_of_topic, poses_of_tree
-from sequences.reading.pose_source import MAX_GAP_S, PoseSource
-from sequences.reading.tabled_poses import TabledPoses, read_path
+from sequences.reading.extrinsics import BASES, Extrinsics, Rig, TransformTree, along, read_tree
+from sequences.reading.pose_sources import (
+    MAX_GAP_S,
+    POSE_TYPES,
+    PoseSource,
+    TabledPoses,
+    frames_of_topic,
+    poses_of_topic,
+    poses_of_tree,
+    read_path,
+)
 from sequences.recordings.messages import frame_name
-from sequences.recordings.source import TF, MessageSource, Topic
-from sequences.recordings.transforms import along
+from sequences.recordings.source import TF, MessageSource, Topic, choose, listing
 from sequences.trajectories.interpolation import MAX_ODOMETRY_GAP_S, MAX_TRUE_POSE_GAP_S
 from sequences.trajectories.pose_tables import read_pose_table
 
-SURVEY_S = 60.0  # of /tf that is read to find frames that nobody named
-CAMERA_POSES = "geometry_msgs/PoseStamped"
+_SURVEY_S = 60.0  # of /tf that is read to find frames that nobody named
+_CAMERA_POSES = "geometry_msgs/PoseStamped"
 
 
 @dataclass(frozen=True)
@@ -31,15 +37,14 @@ class PoseRoute:
     """Where poses over time come from, and how to read them.
 
     Attributes:
-        said: What people call it, in messages.
-        topic: Where its messages are; '' for none.
-        open: A source of them that no message was taken into yet.
-        extrinsics: Where the camera sits on the body that they are of.
+        label: Its name in messages to people.
+        topic: Topic of its messages; '' for none.
+        open: Makes a source that took no message yet.
+        extrinsics: The camera's mount on the body of the poses.
         resolved: The options that would choose it.
-        notices: What a person should know of it.
     """
 
-    said: str
+    label: str
     topic: str
     open: Callable[[], PoseSource]
     extrinsics: Extrinsics
@@ -48,13 +53,13 @@ class PoseRoute:
 
 
 def tree_odometry(bag: MessageSource, options: SequenceOptions, rig: Rig) -> tuple[PoseRoute, Rig]:
-    """Odometry as tf has it: poses of a base in a frame such as odom, to which the camera is fixed.
+    """Odometry of tf: poses of a base, to which the camera is fixed, in a frame such as odom.
 
     Raises:
         NotFoundError: no such frame is above the camera, or nothing moves in between.
     """
     frame = frame_name(options.odometry_frame or "odom")
-    within_s = None if options.odometry_frame else SURVEY_S
+    within_s = None if options.odometry_frame else _SURVEY_S
     tree = read_tree(bag, lambda tree: rig.path(tree, frame) is not None, within_s=within_s)
     path = rig.path(tree, frame)
     moving = [i for i, step in enumerate(path or ()) if not step.static]
@@ -64,44 +69,63 @@ def tree_odometry(bag: MessageSource, options: SequenceOptions, rig: Rig) -> tup
             f" {', '.join(tree.frames) or 'none'}"
         )
     links, fixed = path[: moving[-1] + 1], path[moving[-1] + 1 :]
-    base = links[-1].parent if links[-1].upwards else links[-1].child
-    base_from_camera = along(fixed, [step.parent_from_child for step in fixed]) @ rig.end
+    base, end = (steps[-1].parent if steps[-1].upwards else steps[-1].child for steps in (links, path))
 
-    def source() -> LinkedPoses:
+    def source() -> PoseSource:
         return poses_of_tree(links, Poses.identity(), max_gap_s=MAX_ODOMETRY_GAP_S, watch_jumps=False)
 
-    route = PoseRoute(f"tf frame {frame}", TF, source, Extrinsics(base_from_camera), {"odometry_frame": frame})
-    end = path[-1].parent if path[-1].upwards else path[-1].child
+    extrinsics = Extrinsics(along(fixed) @ rig.end)
+    route = PoseRoute(f"tf frame {frame}", TF, source, extrinsics, {"odometry_frame": frame})
     return route, replace(rig, odometry_frame=frame, base=base if rig.base_from_camera is None else end)
 
 
-def route_of_topic(bag: MessageSource, options: SequenceOptions, rig: Rig, topic: Topic) -> PoseRoute:
-    """Poses of a topic. Raises SequenceError where nothing says where the camera sits on the body that they are of."""
+def find_true_poses(
+    bag: MessageSource, options: SequenceOptions, rig: Rig, *, required: bool, odometry: Callable[[], Trajectory]
+) -> PoseRoute | None:
+    """The true poses that options name, else the only candidate; `odometry` reads it to find a time offset by.
+
+    Raises:
+        SequenceError: the named poses are missing or cannot be used; or they are required, and there is no single
+            candidate.
+    """
+    if options.poses is not None:
+        return _route_of_file(bag, options, rig, odometry)
+    if options.ground_truth_frame is not None:
+        return _route_of_tree(bag, options, rig, frame_name(options.ground_truth_frame))
+    if options.ground_truth_topic is not None:
+        topic = choose(bag, "ground-truth", POSE_TYPES, options.ground_truth_topic)
+        return None if topic is None else _route_of_topic(bag, options, rig, topic)
+    topic = choose(bag, "ground-truth", (_CAMERA_POSES,), None)
+    if topic is not None:
+        return _route_of_topic(bag, options, rig, topic)
+    return _only_candidate(bag, options, rig, required=required)
+
+
+def _route_of_topic(bag: MessageSource, options: SequenceOptions, rig: Rig, topic: Topic) -> PoseRoute:
     resolved: dict[str, object] = {"ground_truth_topic": topic.name}
     child = frame_name(options.ground_truth_child_frame or "")
     if not child and topic.num_messages:
         child = frames_of_topic(bag, topic)[1]
     extrinsics = rig.on(bag, child, f" ({topic.name})")
     notices = []
-    if not child and topic.read_as != CAMERA_POSES:
+    if not child and topic.read_as != _CAMERA_POSES:
         notices.append(
             f"{topic.name} ({topic.type}) names no child frame: taken for poses of the camera itself"
-            " (--ground-truth-child-frame says otherwise)"
+            " (--ground-truth-child-frame names another)"
         )
     if topic.read_as == "nav_msgs/Path":
         poses, unusable = read_path(bag, topic)
-        notices += unusable.notices
         table = TabledPoses(poses, extrinsics.body_from_camera)
-        return PoseRoute(topic.name, "", lambda: table, extrinsics, resolved, notices)
-    gap_s = MAX_TRUE_POSE_GAP_S if topic.read_as == CAMERA_POSES else MAX_GAP_S
+        return PoseRoute(topic.name, "", lambda: table, extrinsics, resolved, notices + unusable.notices)
+    gap_s = MAX_TRUE_POSE_GAP_S if topic.read_as == _CAMERA_POSES else MAX_GAP_S
 
-    def source() -> LinkedPoses:
+    def source() -> PoseSource:
         return poses_of_topic(topic, extrinsics.body_from_camera, max_gap_s=gap_s)
 
     return PoseRoute(topic.name, topic.name, source, extrinsics, resolved, notices)
 
 
-def route_of_tree(bag: MessageSource, options: SequenceOptions, rig: Rig, frame: str) -> PoseRoute:
+def _route_of_tree(bag: MessageSource, options: SequenceOptions, rig: Rig, frame: str) -> PoseRoute:
     """Poses of the camera in a frame of tf. Raises SequenceError where no transforms lead there, or none moves."""
     if options.ground_truth_child_frame is not None and rig.base_from_camera is not None:
         rig = replace(rig, base=frame_name(options.ground_truth_child_frame))
@@ -119,20 +143,15 @@ def route_of_tree(bag: MessageSource, options: SequenceOptions, rig: Rig, frame:
             " between the two"
         )
 
-    def source() -> LinkedPoses:
+    def source() -> PoseSource:
         return poses_of_tree(links, rig.end, max_gap_s=MAX_GAP_S)
 
     return PoseRoute(f"tf frame {frame}", TF, source, Extrinsics(rig.end), {"ground_truth_frame": frame})
 
 
-def route_of_file(
+def _route_of_file(
     bag: MessageSource, options: SequenceOptions, rig: Rig, odometry: Callable[[], Trajectory]
 ) -> PoseRoute:
-    """Poses of the file that the options name; the odometry is to find a time offset by.
-
-    Raises:
-        SequenceError: the file cannot be used, nothing says where the camera sits, or the rotation tells no offset.
-    """
     file = Path(options.poses or "")
     rows = Rows("poses")
     trajectory = read_pose_table(file, options.poses_times, rows, options.poses_columns)
@@ -147,8 +166,59 @@ def route_of_file(
             raise SequenceError(f"{file}: {error}") from error
         offset_s, found = offset_of_clocks("auto", track, trajectory, str(file))
         notices += found
-    table = TabledPoses(
-        replace(trajectory, times_ns=trajectory.times_ns + round(offset_s * 1e9)), extrinsics.body_from_camera
-    )
+    trajectory = replace(trajectory, times_ns=trajectory.times_ns + round(offset_s * 1e9))
+    table = TabledPoses(trajectory, extrinsics.body_from_camera)
     resolved: dict[str, object] = {"poses": file.name, "time_offset_s": offset_s}
     return PoseRoute(str(file), "", lambda: table, extrinsics, resolved, notices)
+
+
+def _only_candidate(bag: MessageSource, options: SequenceOptions, rig: Rig, *, required: bool) -> PoseRoute | None:
+    topics, others = [], []
+    for topic in bag.topics.values():
+        enough = topic.num_messages > (topic.read_as != "nav_msgs/Path")  # one pose is a goal or a start
+        if topic.read_as in POSE_TYPES and enough and topic.encoding in topic.encodings:
+            try:
+                frame, _ = frames_of_topic(bag, topic)
+            except SequenceError:  # nothing readable on it
+                continue
+            is_odometry = topic.name == rig.odometry_topic or _is_odometry(frame, rig)
+            (others if is_odometry else topics).append(topic)
+    tree = read_tree(bag, within_s=_SURVEY_S) if TF in bag else TransformTree()
+    frames = _frames_that_could(tree, rig)
+    if len(topics) + bool(frames) == 1:
+        try:
+            if topics:
+                return _route_of_topic(bag, options, rig, topics[0])
+            return _route_of_tree(bag, options, rig, "map" if "map" in frames else frames[-1])
+        except SequenceError:
+            if required:
+                raise
+            return None
+    if not required:
+        return None
+    could = [f"{t.name} ({t.type}: --ground-truth-topic {t.name})" for t in topics]
+    could += [f"tf frame {name} (--ground-truth-frame {name})" for name in frames]
+    could += [f"{t.name}, odometry as it seems ({t.type}: --ground-truth-topic {t.name})" for t in others]
+    if could:
+        raise SequenceError(
+            f"{bag.path}: no true poses found without a choice to make, expected one of: {'; '.join(could)}; or a file"
+            " of poses (--poses)"
+        )
+    raise SequenceError(
+        f"{bag.path}: no true poses: expected a topic of type {', '.join(POSE_TYPES)}, a frame of tf in which"
+        f" {rig.camera!r} moves (found frames: {', '.join(tree.frames) or 'none'}), or a file of poses (--poses);"
+        f" {listing(bag.topics.values())}"
+    )
+
+
+def _is_odometry(frame: str, rig: Rig) -> bool:
+    return "odom" in frame.rsplit("/", 1)[-1] or (frame != "" and frame == rig.odometry_frame)
+
+
+def _frames_that_could(tree: TransformTree, rig: Rig) -> list[str]:
+    """Frames in which the camera moves, from the lowest: those above a frame of odometry, or the highest."""
+    bodies = [rig.camera] if rig.base_from_camera is None else [rig.base, *BASES]
+    above = max((tree.ancestors(body) for body in bodies), key=len)
+    odometry = [i for i, frame in enumerate(above) if _is_odometry(frame, rig)]
+    above = above[odometry[-1] + 1 :] if odometry else above[-1:]
+    return [frame for frame in above if any(not step.static for step in rig.path(tree, frame) or ())]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
@@ -13,61 +13,19 @@ from filtering.se3 import Poses
 from sequences.errors import NotFoundError, SequenceError
 from sequences.frame import Trajectory
 from sequences.images.decoding import decode_compressed_image, decode_image
-from sequences.images.streams import ImageStream, Stills
-from sequences.images.video import Video
+from sequences.images.video import ImageStream, Video
 from sequences.options import OdometryUse, SequenceOptions, TruePoseUse, pose_of_numbers
 from sequences.reading.extrinsics import Extrinsics, Rig, find_extrinsics
-from sequences.reading.linked_poses import poses_of_topic
-from sequences.reading.pose_routes import PoseRoute, tree_odometry
-from sequences.reading.pose_source import PoseSource
+from sequences.reading.pose_routes import PoseRoute, find_true_poses, tree_odometry
+from sequences.reading.pose_sources import PoseSource, odometry_of_topic
 from sequences.reading.timeline import Key, Timeline
-from sequences.reading.true_poses import find_true_poses
 from sequences.recordings.messages import frame_name
-from sequences.recordings.source import TF, TF_STATIC, MessageSource, RawMessage, Topic
-from sequences.recordings.topics import choose, decode, first
-from sequences.trajectories.interpolation import MAX_ODOMETRY_GAP_S
+from sequences.recordings.source import TF, TF_STATIC, MessageSource, RawMessage, Topic, choose, decode, first
 
 _OFFSET_SEGMENT_S, _OFFSET_STEP_S = 1800.0, 0.02  # of odometry, to find a time offset in
-
-
-def odometry_track(bag: MessageSource, source: PoseSource, links: Collection[Key] | None) -> Trajectory:
-    """The first half hour of odometry, at most fifty poses a second, by one steady clock.
-
-    Args:
-        bag: The recording.
-        source: The odometry.
-        links: Those of tf that tell it, None where a topic of its own does.
-
-    Raises:
-        SequenceError: there is none, or the recording is damaged.
-    """
-    times_ns, numbers = array("q"), array("d")
-    step_ns = round(_OFFSET_STEP_S * 1e9)
-    for dated in Timeline(bag, {source.topic: links}).messages(source.topic):
-        if dated.message is None or not dated.stamps_ns:
-            continue
-        for sample in source.samples(dated.message)[0]:
-            source.append(sample)
-        span = source.span_ns
-        if span is None or (times_ns and span[1] - times_ns[-1] < step_ns):
-            continue
-        pose = source.at(span[1])
-        source.forget_before(span[1])
-        if pose is None:
-            continue
-        times_ns.append(span[1])
-        numbers.extend([*pose.translation, *pose.as_quat_xyzw()])
-        if (times_ns[-1] - times_ns[0]) * 1e-9 > _OFFSET_SEGMENT_S:
-            break
-    if len(times_ns) < 2:
-        raise SequenceError(f"{bag.path}: {source.topic}: no odometry, expected some to find a time offset by")
-    table = np.array(numbers).reshape(-1, 7)
-    return Trajectory(np.array(times_ns, np.int64), Poses.from_quat_xyzw(table[:, :3], table[:, 3:]))
-
-
 _IMAGE_STREAMS: dict[str, Callable[[], ImageStream]] = {
-    "sensor_msgs/Image": partial(Stills, decode_image),
-    "sensor_msgs/CompressedImage": partial(Stills, decode_compressed_image),
+    "sensor_msgs/Image": partial(ImageStream, decode_image),
+    "sensor_msgs/CompressedImage": partial(ImageStream, decode_compressed_image),
     "foxglove_msgs/CompressedVideo": partial(Video, "format"),
     "ffmpeg_image_transport_msgs/FFMPEGPacket": partial(Video, "encoding"),
 }
@@ -76,18 +34,18 @@ _TRANSPORTS = ("compressed", "ffmpeg", "foxglove")  # by the habit of image_tran
 
 
 class Roles:
-    """Which topic, frame or file plays which role: the one named by an option, or the only one of its kind."""
+    """The role of each topic, frame or file: the one named by an option, or the only one of its kind."""
 
     def __init__(self, bag: MessageSource, options: SequenceOptions, odometry: OdometryUse, true_poses: TruePoseUse):
         image = choose(bag, "image", IMAGE_TYPES, options.image_topic, required=True)
         assert image is not None
         self.image = image
-        self._bag, self._options = bag, options
+        self._bag, self.path, self.options = bag, bag.path, options
         self.open_images()  # what it needs may not be installed
         self.odometry_required = odometry == "required"
         self.truth_required = true_poses == "required"
         self.odometry: Topic | None = None
-        self.odometry_frame = ""  # of which its poses are, where it is read
+        self.odometry_frame = ""  # that its poses are in, where it is read
         self.tree_odometry: PoseRoute | None = None
         self.extrinsics: Extrinsics | None = None
         given = options.base_from_camera
@@ -99,8 +57,7 @@ class Roles:
                 if self.odometry_required:
                     raise
                 self.odometry = self.tree_odometry = self.extrinsics = None
-        # Where nothing is to be found by itself, an empty name says so.
-        needed = self.truth_required and options.ground_truth_topic != ""
+        needed = self.truth_required and options.ground_truth_topic != ""  # an empty name asks for none
         self.truth = find_true_poses(bag, options, rig, required=needed, odometry=self._odometry_track)
         info_name = options.camera_info_topic
         if info_name is None:
@@ -112,24 +69,29 @@ class Roles:
         self.camera_info = choose(bag, "camera-info", ("sensor_msgs/CameraInfo",), info_name)
 
     def open_images(self) -> ImageStream:
-        """A stream of the images that no message was taken into yet. Raises SequenceError where PyAV is wanting."""
+        """A new stream of the images. Raises SequenceError where PyAV is missing."""
         try:
             return _IMAGE_STREAMS[self.image.read_as]()
         except SequenceError as error:
-            raise SequenceError(f"{self._bag.path}: {self.image.name} ({self.image.type}): {error}") from error
+            raise SequenceError(f"{self.path}: {self.image.name} ({self.image.type}): {error}") from error
+
+    def open_odometry(self) -> PoseSource | None:
+        """A new source of odometry; None where none is read."""
+        if self.tree_odometry is not None:
+            return self.tree_odometry.open()
+        return None if self.odometry is None else odometry_of_topic(self.odometry)
 
     def _camera_frame(self) -> str:
-        """Frame of the camera; '' where nothing says it."""
-        if self._options.camera_frame:
-            return frame_name(self._options.camera_frame)
+        if self.options.camera_frame:
+            return frame_name(self.options.camera_frame)
         try:
             return frame_name(first(self._bag, self.image).header.frame_id)
-        except SequenceError:  # told when the images are read
+        except SequenceError:  # reported when the images are read
             return ""
 
     def _find_odometry(self, rig: Rig) -> Rig:
-        """Find odometry, of a topic or else of tf, and extrinsics; the rig with what that tells."""
-        bag, options = self._bag, self._options
+        """Find odometry, of a topic or else of tf, and extrinsics; returns the rig with both."""
+        bag, options = self._bag, self.options
         if options.odometry_frame is not None:
             return self._take_tree(rig)
         try:
@@ -151,9 +113,8 @@ class Roles:
         assert topic is not None
         self.odometry = topic
         message = first(bag, topic)
-        base, frame = frame_name(message.child_frame_id), frame_name(message.header.frame_id)
-        self.odometry_frame = frame
-        rig = replace(rig, base=base, odometry_topic=topic.name, odometry_frame=frame)
+        base, self.odometry_frame = frame_name(message.child_frame_id), frame_name(message.header.frame_id)
+        rig = replace(rig, base=base, odometry_topic=topic.name, odometry_frame=self.odometry_frame)
         if rig.base_from_camera is not None:
             self.extrinsics = Extrinsics(rig.base_from_camera)
         else:
@@ -163,33 +124,55 @@ class Roles:
         return rig
 
     def _take_tree(self, rig: Rig) -> Rig:
-        self.tree_odometry, rig = tree_odometry(self._bag, self._options, rig)
+        self.tree_odometry, rig = tree_odometry(self._bag, self.options, rig)
         self.extrinsics, self.odometry_frame = self.tree_odometry.extrinsics, rig.odometry_frame
         return rig
 
     def _odometry_track(self) -> Trajectory:
-        """The odometry alone, to find a time offset by."""
-        if self.tree_odometry is not None:
-            source: PoseSource = self.tree_odometry.open()
-        elif self.odometry is not None:
-            source = poses_of_topic(self.odometry, Poses.identity(), max_gap_s=MAX_ODOMETRY_GAP_S)
-        else:
-            raise SequenceError(f"{self._bag.path}: no odometry found, expected it for --time-offset-s auto")
-        return odometry_track(self._bag, source, None if self.odometry is not None else set(source.links))
+        """The first half hour of odometry, at most 50 poses a second, by one steady clock, to find a time offset by.
+
+        Raises:
+            SequenceError: there is none, or the recording is damaged.
+        """
+        source = self.open_odometry()
+        if source is None:
+            raise SequenceError(f"{self.path}: no odometry found, expected it for --time-offset-s auto")
+        links = set(source.links) if self.odometry is None else None
+        times_ns, numbers = array("q"), array("d")
+        for dated in Timeline(self._bag, {source.topic: links}).messages(source.topic):
+            if dated.message is None or not dated.stamps_ns:
+                continue
+            for sample in source.samples(dated.message)[0]:
+                source.append(sample)
+            span = source.span_ns
+            if span is None or (times_ns and span[1] - times_ns[-1] < round(_OFFSET_STEP_S * 1e9)):
+                continue
+            pose = source.at(span[1])
+            source.forget_before(span[1])
+            if pose is None:
+                continue
+            times_ns.append(span[1])
+            numbers.extend([*pose.translation, *pose.as_quat_xyzw()])
+            if (times_ns[-1] - times_ns[0]) * 1e-9 > _OFFSET_SEGMENT_S:
+                break
+        if len(times_ns) < 2:
+            raise SequenceError(f"{self.path}: {source.topic}: no odometry, expected some to find a time offset by")
+        table = np.array(numbers).reshape(-1, 7)
+        return Trajectory(np.array(times_ns, np.int64), Poses.from_quat_xyzw(table[:, :3], table[:, 3:]))
 
     def why_undecodable(self, raw: RawMessage) -> str:
-        """What is wrong with bytes that are no message."""
+        """The error of decoding a message; '' where there is none."""
         try:
             decode(self._bag, raw)
         except SequenceError as error:
-            return str(error).removeprefix(f"{self._bag.path}: ")
+            return str(error).removeprefix(f"{self.path}: ")
         return ""
 
     @property
-    def watched(self) -> dict[str, set[tuple[str, str]] | None]:
+    def watched(self) -> dict[str, set[Key] | None]:
         """Names of the topics that are read from front to back: with the links that count of tf, else None."""
-        names: dict[str, set[tuple[str, str]] | None] = {self.image.name: None}
-        links: dict[str, set[tuple[str, str]]] = {}
+        names: dict[str, set[Key] | None] = {self.image.name: None}
+        links: dict[str, set[Key]] = {}
         if self.odometry is not None:
             names[self.odometry.name] = None
         routes = [route for route in (self.tree_odometry, self.truth) if route is not None]
@@ -206,20 +189,17 @@ class Roles:
         return {name: links for name, links in {**names, **links}.items() if name in self._bag}
 
     @property
-    def odometry_keys(self) -> list[tuple[str, str]]:
-        """What tells odometry, of `watched`: a topic, or links of tf."""
-        if self.tree_odometry is not None:
-            return [*self.tree_odometry.open().links]
-        return [] if self.odometry is None else [("", self.odometry.name)]
+    def odometry_keys(self) -> list[Key]:
+        """Streams of odometry: a topic, or links of tf."""
+        source = self.open_odometry()
+        return [] if source is None else [*source.links]
 
     @property
-    def odometry_said(self) -> str:
-        """What tells odometry, to name in a message."""
+    def odometry_label(self) -> str:
+        """Name of the odometry in messages."""
         return f"the tf frame {self.odometry_frame!r}" if self.odometry is None else self.odometry.name
 
     @property
-    def truth_keys(self) -> list[tuple[str, str]]:
-        """What tells true poses as a recording is read, likewise."""
-        if self.truth is None or not self.truth.topic:
-            return []
-        return [*self.truth.open().links]
+    def truth_keys(self) -> list[Key]:
+        """Streams of true poses; none where a table has them all."""
+        return [] if self.truth is None else [*self.truth.open().links]

@@ -1,51 +1,125 @@
 """The stamps of a recording by one steady clock: where clocks were set, which stamps are odd, how late messages lie.
 
-Clocks are set in the field: all of them when a robot without a battery finds a time server, a camera's when it locks to
-PTP. So a recording is surveyed once, before its frames are read, and stamps on one side of a step are corrected.
+Clocks are set in the field: all when a robot without a battery finds a time server, a camera's when it locks to PTP.
 """
 
 from __future__ import annotations
 
 import struct
 from array import array
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 from types import SimpleNamespace
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Int64
 
 from sequences.errors import SequenceError
-from sequences.reading.clock_steps import SET_AHEAD_S, ClockOfStream
-from sequences.reading.requested_segment import LoggedSegment
 from sequences.recordings.message_definitions import begins_with_stamp
 from sequences.recordings.messages import stamp_ns
-from sequences.recordings.source import TF_STATIC, MessageSource, RawMessage, link_of
-from sequences.recordings.topics import decode
+from sequences.recordings.source import TF_STATIC, MessageSource, RawMessage, decode, link_of
 
 Key = tuple[str, str]
-"""What has a clock of its own: parent and child of a link of tf, or '' and a topic."""
+"""A stream with a clock of its own: parent and child of a link of tf, or '' and a topic."""
+StampKind = Literal["usual", "odd", "stepped"]
+MAX_LATENESS_S = 10.0  # how long poses are remembered for late images, where nothing else limits that
 
+_STEP_S = 1.0  # by which stamps differ from those before where their clock was set
+_SET_AHEAD_S = 86_400.0  # a log that jumps ahead by less may have been paused
+_AGREE_S, _AGREE = 0.5, 3  # so many messages in a row show the same step
+_REMEMBERED_NS = 30 * 10**9  # clocks drift apart slowly
 _SET_BACK_S = 1.0  # threads of a recorder that write one topic disagree by less
-SAME_STEP_NS = 10**9
-"""Steps of two streams are of one clock where they are no further apart, in when and in how far."""
+_SAME_STEP_NS = 10**9  # within which steps of two streams are of one clock, in time and in size
 _LATEST_NS = 1 << 62  # log times are any 64 bits
 _NEAR = 50  # messages on either side of a step, by which it is measured
 _STAMP = struct.Struct(">iI"), struct.Struct("<iI")
+
+
+@dataclass
+class ClockOfStream:
+    """The clock behind the stamps of one topic.
+
+    A stamp is odd that is more than a second before the latest one, or as much behind it while it also runs as much
+    further ahead of its arrival than any of the last half minute. Three odd ones in a row that agree show that the
+    clock was set. Delayed messages are late, but not odd: each follows the one before.
+    """
+
+    _end_ns: int | None = None
+    _ahead_ns: deque[tuple[int, int]] = field(default_factory=deque)  # arrival and offset, the largest offset first
+    _odd: list[tuple[int, int]] = field(default_factory=list)  # stamp and offset
+
+    def take(self, time_ns: int, arrived_ns: int) -> StampKind:
+        """Take a stamp; an odd one may turn out to be the first of a clock that was set."""
+        offset_ns = time_ns - arrived_ns
+        if not self._is_odd(time_ns, offset_ns):
+            self._odd.clear()
+            self._end_ns = time_ns if self._end_ns is None else max(self._end_ns, time_ns)
+            self._remember(arrived_ns, offset_ns)
+            return "usual"
+        self._odd.append((time_ns, offset_ns))
+        del self._odd[:-_AGREE]
+        times, offsets = zip(*self._odd, strict=True)
+        agree = len(times) == _AGREE and list(times) == sorted(set(times))
+        if not agree or max(offsets) - min(offsets) > _AGREE_S * 1e9:
+            return "odd"
+        self._odd.clear()
+        self._ahead_ns.clear()
+        self._end_ns = time_ns
+        self._remember(arrived_ns, offset_ns)
+        return "stepped"
+
+    def _is_odd(self, time_ns: int, offset_ns: int) -> bool:
+        if self._end_ns is None:
+            return False
+        since_ns, further_ahead_ns = time_ns - self._end_ns, offset_ns - self._ahead_ns[0][1]
+        return since_ns < -_STEP_S * 1e9 or min(since_ns, further_ahead_ns) > _STEP_S * 1e9
+
+    def _remember(self, arrived_ns: int, offset_ns: int) -> None:
+        """Keep the largest offset of the last half minute at hand: a queue that falls."""
+        while self._ahead_ns and self._ahead_ns[-1][1] <= offset_ns:
+            self._ahead_ns.pop()
+        self._ahead_ns.append((arrived_ns, offset_ns))
+        while len(self._ahead_ns) > 1 and arrived_ns - self._ahead_ns[0][0] > _REMEMBERED_NS:
+            self._ahead_ns.popleft()
+
+
+class LoggedSegment:
+    """The segment of a recording that is asked for, by the times at which its images were logged.
+
+    Attributes:
+        is_over: Whether everything that comes lies too far behind it.
+    """
+
+    def __init__(self, image_topic: str, duration_s: float) -> None:
+        """Set up a segment that lasts so long from the first image on."""
+        self.is_over = False
+        self._topic, self._until_ns = image_topic, round((duration_s + MAX_LATENESS_S) * 1e9)
+        self._last_ns: int | None = None
+        self._passed_ns = 0
+
+    def take(self, raw: RawMessage) -> None:
+        """Take the next message."""
+        if raw.topic != self._topic:
+            return
+        since_ns = 0 if self._last_ns is None else raw.log_time_ns - self._last_ns
+        self._last_ns = raw.log_time_ns
+        if 0 <= since_ns <= _SET_AHEAD_S * 1e9:  # else the clock of the log was set
+            self._passed_ns += since_ns
+        self.is_over = self._passed_ns > self._until_ns
 
 
 class Dated(NamedTuple):
     """A message by the steady clock.
 
     Attributes:
-        raw: As it lies in the recording.
-        message: Its fields, with stamps by the steady clock; None for bytes that are no message.
-        num_odd: How many of its stamps are unlike those around them. Such transforms of tf are taken out of it.
-        stamps_ns: Those of its stamps that are watched and not odd, and what has them.
-        keys: What has those of its stamps that are watched.
+        raw: The message as recorded.
+        message: Its fields, with stamps by the steady clock; None for undecodable bytes.
+        num_odd: How many of its stamps are unlike those around them; such transforms of tf are removed.
+        stamps_ns: Its watched stamps that are not odd, with their streams.
+        keys: The streams of all its watched stamps.
     """
 
     raw: RawMessage
@@ -57,14 +131,13 @@ class Dated(NamedTuple):
 
 @dataclass
 class StreamTimes:
-    """The stamps of one stream, by the steady clock.
+    """The n ≥ 1 stamps of one stream, by the steady clock, in the order of the recording.
 
     Attributes:
-        times_ns: Of its messages in the order of the recording, (n,), n ≥ 1.
-        odd: Which of them are unlike those around them, (n,).
-        steps_ns: Stamp of the first message behind each step of its clock, and by how much it was set.
+        odd: Which are unlike those around them, (n,).
+        steps_ns: Stamp of the first message behind each step of the clock, and size of the step.
         begin_ns: The earliest that is not odd.
-        end_ns: The latest one.
+        end_ns: The latest that is not odd.
         lateness_ns: How much earlier a stamp may be than the latest one before it.
     """
 
@@ -86,33 +159,19 @@ class StreamTimes:
         self._num_until = np.maximum.accumulate(order[: len(usual)]) + 1
 
     def num_until(self, time_ns: int) -> int:
-        """How many messages have to be read to have all up to a time, and the one after it."""
+        """How many messages must be read to have all up to a time, and the one after it."""
         return int(self._num_until[min(int(np.searchsorted(self._sorted_ns, time_ns)), len(self._sorted_ns) - 1)])
 
 
 class Timeline:
-    """The messages of a recording by one steady clock: that of its log, as it was at the end.
-
-    Attributes:
-        streams: The streams that are watched and have messages.
-    """
+    """The messages of a recording by one steady clock: that of its log, as it was at the end."""
 
     def __init__(
-        self,
-        bag: MessageSource,
-        watched: Mapping[str, Collection[Key] | None],
-        *,
-        segment: LoggedSegment | None = None,
+        self, bag: MessageSource, watched: Mapping[str, Collection[Key] | None], *, segment: LoggedSegment | None = None
     ) -> None:
-        """Survey a recording.
+        """Survey a recording, or a segment of it. Raises SequenceError where it is damaged.
 
-        Args:
-            bag: The recording.
-            watched: Names of topics: with the links that count of tf, None of a topic whose messages have one stamp.
-            segment: What is asked for of it; None for all.
-
-        Raises:
-            SequenceError: the recording is damaged.
+        `watched` are names of topics, with the links of tf that count, or None where messages have one stamp each.
         """
         self._bag, self._watched = bag, watched
         stamps: dict[Key, array[int]] = {}
@@ -120,30 +179,25 @@ class Timeline:
         for raw in bag.messages(watched, until=lambda _: segment is not None and segment.is_over):
             if segment is not None:
                 segment.take(raw)
-            peeked = _peeked(raw)
-            told = (
-                [(key, stamp_ns(header)) for key, header in self._headers(raw.topic, self._decoded(raw))]
-                if peeked is None
-                else [(("", raw.topic), peeked)]
-            )
-            for key, time_ns in told:
+            if (peeked := _peeked(raw)) is not None:
+                found = [(("", raw.topic), peeked)]
+            else:
+                headers = self._headers(raw.topic, decode(bag, raw, tolerate=True))
+                found = [(key, stamp_ns(header)) for key, header in headers]
+            for key, time_ns in found:
                 stamps.setdefault(key, array("q")).append(time_ns)
                 logged.setdefault(key, array("q")).append(min(raw.log_time_ns, _LATEST_NS))
         self._log_times_differ = any(min(log) < max(log) for log in logged.values())
         arrays = {key: (np.array(stamps[key], np.int64), np.array(logged[key], np.int64)) for key in stamps}
         timeless = set(watched.get(TF_STATIC) or ())
-        self.streams = _by_steady_clock({key: told for key, told in arrays.items() if key not in timeless})
+        self.streams = _by_steady_clock({key: both for key, both in arrays.items() if key not in timeless})
         self.streams |= {key: StreamTimes(arrays[key][0]) for key in timeless & arrays.keys()}
 
     def messages(self, topic: str, *, until: Callable[[int], bool] = lambda log_time_ns: False) -> Iterator[Dated]:
-        """Messages of one topic in the order of the recording.
-
-        Raises:
-            SequenceError: the recording is damaged.
-        """
+        """Messages of one topic in the order of the recording. Raises SequenceError where it is damaged."""
         seen = Counter[Key]()
         for raw in self._bag.messages([topic], until=until):
-            message = self._decoded(raw)
+            message = decode(self._bag, raw, tolerate=True)
             headers = self._headers(topic, message)
             keys = [key for key, _ in headers]
             if message is None and _peeked(raw) is not None:
@@ -167,23 +221,24 @@ class Timeline:
 
     @property
     def notices(self) -> list[str]:
-        """What a person should know of the clocks, a step of several of them once."""
+        """Each step of the clocks, once where several share it."""
         steps: list[tuple[int, int, list[Key]]] = []
         for key, times in self.streams.items():
             for time_ns, by_ns in times.steps_ns:
-                same = (s for s in steps if max(abs(s[0] - time_ns), abs(s[1] - by_ns)) < SAME_STEP_NS)
+                same = (s for s in steps if max(abs(s[0] - time_ns), abs(s[1] - by_ns)) < _SAME_STEP_NS)
                 found = next(same, None) or (time_ns, by_ns, [])
                 if not found[2]:
                     steps.append(found)
                 found[2].append(key)
         return [
-            f"the clock of {_name(keys[0])}{f' and {len(keys) - 1} more' if len(keys) > 1 else ''} was set by"
+            f"the clock of {' -> '.join(filter(None, keys[0]))}{f' and {len(keys) - 1} more' if len(keys) > 1 else ''}"
+            f" was set by"
             f" {by_ns * 1e-9:+.3f} s at {time_ns * 1e-9:.3f} s: all stamps are given by one clock"
             for time_ns, by_ns, keys in sorted(steps, key=lambda step: step[0])
         ]
 
     def span_ns(self, keys: Collection[Key]) -> tuple[int, int] | None:
-        """From when to when all of some streams have messages; None where one of them has none."""
+        """The span in which all of some streams have messages; None where one has none."""
         streams = [self.streams[key] for key in keys if key in self.streams]
         if not streams or len(streams) < len(keys):
             return None
@@ -200,17 +255,14 @@ class Timeline:
         if times is None or len(times.times_ns) < 2 or (times.times_ns != times.times_ns[0]).any():
             return
         helps = "; --stamps log takes the times at which they were logged" if self._log_times_differ else ""
-        said = "zero" if times.begin_ns == 0 else f"{times.begin_ns} ns"
+        stamp = "zero" if times.begin_ns == 0 else f"{times.begin_ns} ns"
         raise SequenceError(
-            f"{self._bag.path}: the time stamps in the headers of all {len(times.times_ns)} {what} are {said}, expected"
-            f" increasing ones{helps}"
+            f"{self._bag.path}: the time stamps in the headers of all {len(times.times_ns)} {what} are {stamp},"
+            f" expected increasing ones{helps}"
         )
 
-    def _decoded(self, raw: RawMessage) -> SimpleNamespace | None:
-        return decode(self._bag, raw, tolerate=True)
-
     def _headers(self, topic: str, message: SimpleNamespace | None) -> list[tuple[Key, SimpleNamespace]]:
-        """The headers that count, and what has a clock of its own."""
+        """The headers that count, with their streams."""
         links = self._watched[topic]
         if message is None:
             return []
@@ -227,22 +279,19 @@ def _peeked(raw: RawMessage) -> int | None:
     return sec * 1_000_000_000 + nanosec
 
 
-def _name(key: Key) -> str:
-    return f"{key[0]} -> {key[1]}" if key[0] else key[1]
-
-
-# --- clocks ---------------------------------------------------------------------------------------
-
-
 def _by_steady_clock(
     streams: Mapping[Key, tuple[Int64[np.ndarray, " n"], Int64[np.ndarray, " n"]]],
 ) -> dict[Key, StreamTimes]:
     """Stamps and log times of streams -> their stamps by the clock of the log as it was at the end.
 
     Log times are made steady first: where they jump, a median period has passed. By that clock each stream's own clock
-    is watched. Of the parts between its steps the one that agrees best with the log is right, and the others follow it.
+    is watched. Of the parts between its steps the one that agrees best with the log is right; the others follow it.
     """
-    logs = {key: log if _says_when(stamps, log) else stamps for key, (stamps, log) in streams.items()}
+    logs = {}
+    for key, (stamps, log) in streams.items():
+        # Converters write zeros, or count messages.
+        are_times = float(np.ptp(log)) * 100 >= min(float(np.ptp(stamps)), 1e9 * len(stamps))
+        logs[key] = log if are_times else stamps
     jumps = {key: _jumps(log) for key, log in logs.items()}
     by_period = sorted((jump for found in jumps.values() for jump in found), key=lambda jump: jump.period_ns)
     dated = {}
@@ -255,11 +304,6 @@ def _by_steady_clock(
     return dated
 
 
-def _says_when(stamps: Int64[np.ndarray, " n"], log: Int64[np.ndarray, " n"]) -> bool:
-    """Whether log times are times: converters write zeros, or count messages."""
-    return bool(float(np.ptp(log)) * 100 >= min(float(np.ptp(stamps)), 1e9 * len(stamps)))
-
-
 class _Jump(NamedTuple):
     at: int
     by_ns: int
@@ -269,7 +313,7 @@ class _Jump(NamedTuple):
 def _jumps(log: Int64[np.ndarray, " n"]) -> list[_Jump]:
     """Where log times jump back, or ahead by more than a day."""
     apart = np.diff(log)
-    at = np.flatnonzero((apart < -_SET_BACK_S * 1e9) | (apart > SET_AHEAD_S * 1e9))
+    at = np.flatnonzero((apart < -_SET_BACK_S * 1e9) | (apart > _SET_AHEAD_S * 1e9))
     if not len(at):
         return []
     period_ns = int(np.median(np.delete(apart, at))) if len(at) < len(apart) else 0
@@ -280,9 +324,9 @@ def _dated(stamps: Int64[np.ndarray, " n"], steady: Int64[np.ndarray, " n"]) -> 
     """Stamps of one stream by the steady clock of their log times."""
     clock, odd, begins = ClockOfStream(), np.zeros(len(stamps), bool), [0]
     for index, (time_ns, logged_ns) in enumerate(zip(stamps.tolist(), steady.tolist(), strict=True)):
-        told = clock.take(time_ns, logged_ns)
-        odd[index] = told == "odd"
-        if told == "stepped":
+        kind = clock.take(time_ns, logged_ns)
+        odd[index] = kind == "odd"
+        if kind == "stepped":
             odd[index - 2 : index] = False  # they were the first of the clock that was set
             begins.append(index - 2)
     ahead = stamps - steady

@@ -2,50 +2,55 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from filtering.errors import quoted
 from sequences.errors import SequenceError
-from sequences.recordings import ros1_file, sqlite_file
+from sequences.files.paths import require_inside
+from sequences.files.structured import read_yaml
 from sequences.recordings.mcap_file import McapFile
-from sequences.recordings.recording_file import Channel, LatestChunks, RecordingFile
-from sequences.recordings.ros1_file import Ros1File
-from sequences.recordings.rosbag2 import read_listing
+from sequences.recordings.recording_file import (
+    ROS1_MAGIC,
+    SQLITE_MAGIC,
+    Channel,
+    LatestChunks,
+    RecordingFile,
+    Ros1File,
+    SqliteFile,
+)
 from sequences.recordings.serializations import encoding_of, plain
 from sequences.recordings.source import TF, RawMessage, Stamps, Topic, fixed_links_of, namespaced_tf, stands_for
-from sequences.recordings.sqlite_file import SqliteFile
+from sequences.values import parse_whole
 
 METADATA_NAME = "vapor-track"
-"""Of the metadata record in which a file says where its odometry comes from."""
+"""Name of the metadata record that states the origin of a file's images and odometry."""
+_MOST_MESSAGES = 10**18
+_SUFFIXES = (".mcap", ".db3")
+_PACKED = ".zstd"
 
 
 class Bag:
     """One recording: an MCAP file, a ROS 1 bag, or a rosbag2 of MCAP or SQLite files: opened, checked and listed.
 
     Attributes:
-        path: What was opened.
-        topics: Topics by name; without those that are misnamed, which nobody could ask for.
         metadata: Metadata records by name, later ones over earlier ones; empty for files without an index.
     """
 
     def __init__(self, path: Path, *, stamps: Stamps = "header", tf_topic: str | None = TF):
-        """Open a bag.
+        """Open a file or folder; headers keep their stamps or get log times; for `tf_topic` see `namespaced_tf`.
 
-        Args:
-            path: File or folder.
-            stamps: Whether messages keep the stamps of their headers, or get the times at which they were logged.
-            tf_topic: Which topic is tf, see `namespaced_tf`.
-
-        Raises:
-            SequenceError: a file is missing, truncated, garbage or of another format, or metadata.yaml is damaged.
+        Raises SequenceError where a file is missing, truncated or of another format, or metadata.yaml is damaged.
         """
         self.path = Path(path)
         self._restamped = stamps == "log"
         self.topics: dict[str, Topic] = {}
         self.metadata: dict[str, dict[str, str]] = {}
         self._fixed_links: frozenset[tuple[str, str]] | None = None
-        self._listing = None if self.path.is_file() else read_listing(self.path)
+        self._listing = None if self.path.is_file() else _read_listing(self.path)
         self._latest = LatestChunks()
         self._files = [self._opened(file) for file in (self._listing.files if self._listing else [self.path])]
         for file in self._files:
@@ -61,36 +66,23 @@ class Bag:
     def _opened(self, file: Path) -> RecordingFile:
         with open(file, "rb") as stream:
             head = stream.read(16)
-        if head.startswith(sqlite_file.MAGIC):
+        if head.startswith(SQLITE_MAGIC):
             return SqliteFile(file)
-        if head.startswith(ros1_file.MAGIC):
+        if head.startswith(ROS1_MAGIC):
             return Ros1File(file)
         return McapFile(file, self._latest)
 
-    @property
-    def is_running(self) -> bool:
-        """It does not go on."""
-        return False
-
     def __contains__(self, topic: str) -> bool:
-        """Whether messages of a topic can be asked for."""
         return any(topic in stands_for(known, self._tf) for known in self.topics.values())
 
     def account_for(self, topic: str) -> list[str]:
-        """Compare how many messages of a topic there are with how many metadata.yaml states.
+        """Compare the number of messages of a topic, or of all where it is not listed, with that of metadata.yaml.
 
-        Where it does not name the topic, those of all topics are compared. Files are compared with what they state
-        themselves as they are read.
-
-        Returns:
-            What a person should know: where lost messages cannot be told, as nothing states how many there were, and
-            which files are not read.
-
-        Raises:
-            SequenceError: there are more or fewer.
+        Returns notices of files whose lost messages go unnoticed, as nothing states their number, or that are not read.
+        Raises SequenceError where there are more or fewer.
         """
         uncounted = [
-            f"{file.path.name} states no number of messages: images that it lost cannot be told"
+            f"{file.path.name} states no number of messages: lost images go unnoticed"
             for file in self._files
             if not file.states_counts
         ]
@@ -103,32 +95,22 @@ class Bag:
             what, stated = "all topics", listing.num_messages
             found = sum(file.counts.total() for file in self._files)
         if stated is None:
-            lost = "metadata.yaml states no number of messages: images of files that it lost cannot be told"
+            lost = "metadata.yaml states no number of messages: images in lost files go unnoticed"
             return [lost, *uncounted, *listing.notices]
         if stated != found:
-            beside = f"; beside them lies {listing.unlisted_said}" if listing.unlisted else ""
+            beside = f"; beside them lies {listing.unlisted_names}" if listing.unlisted else ""
             raise SequenceError(
                 f"{listing.path}: {what}: the files that it lists have {found} messages, expected the {stated} that it"
-                f" states{beside} (`ros2 bag reindex` writes it anew)"
+                f" states{beside} (`ros2 bag reindex` writes it again)"
             )
         return listing.notices
 
     def messages(
         self, topics: Collection[str], *, until: Callable[[int], bool] = lambda log_time_ns: False
     ) -> Iterator[RawMessage]:
-        """Messages of some topics in the order in which they lie in a file, file after file.
+        """Messages of some topics, file after file, see `RecordingFile.messages`; each topic must have one type.
 
-        Several iterators may run at once. Those of Foxglove's transforms come once as /tf_static and once as /tf, where
-        both are asked for.
-
-        Args:
-            topics: Names of topics.
-            until: Whether messages of a topic from a log time on are not wanted: of each file, those of its writer that
-                lie behind the first such one are not given; they are counted all the same.
-
-        Raises:
-            SequenceError: a file is damaged, or at its end has other numbers of messages than it states, or a topic has
-                messages of several types.
+        Foxglove's transforms come once as /tf_static and once as /tf, where both are asked for.
         """
         asked = {t.name: [name for name in stands_for(t, self._tf) if name in topics] for t in self.topics.values()}
         names = [name for name, stands_for in asked.items() if stands_for]
@@ -152,7 +134,7 @@ class Bag:
                     )
 
     def _require_one_type(self, file: RecordingFile, channel: Channel) -> None:
-        """Raises SequenceError where the topic of a channel has another type or encoding elsewhere."""
+        """Raise SequenceError where the topic of a channel has another type or encoding elsewhere."""
         topic = self.topics[channel.topic]
         encoding = encoding_of(channel.type, channel.encoding)
         if (channel.type, encoding) != (topic.type, topic.encoding):
@@ -163,7 +145,7 @@ class Bag:
             )
 
     def fixed_links(self) -> frozenset[tuple[str, str]]:
-        """Of Foxglove's transforms, see `fixed_links_of`."""
+        """See `fixed_links_of`."""
         if self._fixed_links is None:
             self._fixed_links = fixed_links_of(self)
         return self._fixed_links
@@ -171,4 +153,101 @@ class Bag:
 
 def bag_files(path: Path) -> list[Path]:
     """The files of a recording, in their order. Raises SequenceError as `Bag` does."""
-    return [path] if path.is_file() else read_listing(path).files
+    return [path] if path.is_file() else _read_listing(path).files
+
+
+@dataclass(frozen=True)
+class _Listing:
+    """The metadata.yaml of a rosbag2 folder: its files, and how many messages all and single topics have.
+
+    Attributes:
+        unlisted: Names of such files beside it that it does not list.
+        num_messages: None where it states none, as after a crash.
+        of_topics: By name; empty where it states none.
+    """
+
+    path: Path
+    files: list[Path]
+    unlisted: list[str]
+    num_messages: int | None
+    of_topics: Counter[str]
+
+    @property
+    def notices(self) -> list[str]:
+        """What a person should know of it."""
+        return [f"metadata.yaml does not list {self.unlisted_names}: not read"] if self.unlisted else []
+
+    @property
+    def unlisted_names(self) -> str:
+        """The first three of the unlisted files, and the number of others."""
+        others = f" and {len(self.unlisted) - 3} more" if len(self.unlisted) > 3 else ""
+        return ", ".join(quoted(name) for name in self.unlisted[:3]) + others
+
+
+def _read_listing(folder: Path) -> _Listing:
+    """Read the metadata.yaml of a rosbag2 folder.
+
+    Its counts of single files are ignored: recorders count messages there that their cache then drops, and `ros2 bag
+    convert` counted messages twice.
+
+    Raises:
+        SequenceError: it is missing or no YAML, a number in it is none, or it lists no file, a missing one, one of
+            unknown format or outside the folder, or one in `files` alone.
+    """
+    if not folder.is_dir():
+        raise SequenceError(
+            f"{folder}: no such file or folder, expected an .mcap file, a rosbag2 folder or a ROS 1 bag"
+        )
+    path = folder / "metadata.yaml"
+    if not path.is_file():
+        helps = ", or its files one by one (`ros2 bag reindex` writes one)" if _bag_files(folder) else ""
+        raise SequenceError(f"{folder}: folder has no metadata.yaml, expected an .mcap file or a rosbag2 folder{helps}")
+    content = read_yaml(path)
+    content = content.get("rosbag2_bagfile_information", content)
+    names = list(dict.fromkeys(str(name) for name in _list(content, "relative_file_paths", path)))
+    if not names:
+        raise SequenceError(f"{path}: names no files, expected `relative_file_paths:` with one or more files")
+    beside = {file.name for file in _bag_files(folder)}
+    names = [name.removesuffix(_PACKED) if name.removesuffix(_PACKED) in beside else name for name in names]
+    for name in names:
+        if name.endswith(_PACKED):
+            raise SequenceError(f"{path}: names {quoted(name)}, a file packed as a whole; unpack it first: `zstd -d`")
+        if not name.endswith(_SUFFIXES):
+            raise SequenceError(f"{path}: names {quoted(name)}, expected .mcap or .db3 files")
+    listed = {Path(name).name for name in names}
+    for item in _list(content, "files", path):
+        name = Path(str(item.get("path", ""))).name if isinstance(item, dict) else ""
+        name = name.removesuffix(_PACKED) if name.removesuffix(_PACKED) in listed else name
+        if name.endswith(_SUFFIXES) and name not in listed:
+            raise SequenceError(
+                f"{path}: `files` has {quoted(name)} and `relative_file_paths` has not, expected it in both"
+            )
+    files = [folder / name for name in names]
+    require_inside(folder, files)
+    for file, name in zip(files, names, strict=True):
+        if not file.is_file():
+            raise SequenceError(f"{path}: names {quoted(name)}, which is not in the folder")
+    read = {file.resolve() for file in files}
+    unlisted = [file.name for file in _bag_files(folder) if file.resolve() not in read]
+    of_topics: Counter[str] = Counter()
+    for item in _list(content, "topics_with_message_count", path):
+        topic = item.get("topic_metadata") if isinstance(item, dict) else None
+        if isinstance(topic, dict) and "name" in topic and (count := _count(item, path)) is not None:
+            of_topics[str(topic["name"])] += count
+    return _Listing(path, files, unlisted, _count(content, path) or None, of_topics if of_topics.total() else Counter())
+
+
+def _bag_files(folder: Path) -> list[Path]:
+    return sorted(file for file in folder.iterdir() if file.suffix in _SUFFIXES and file.is_file())
+
+
+def _list(content: Any, name: str, path: Path) -> list[Any]:
+    value = content.get(name) if isinstance(content, dict) else None
+    if not isinstance(value, list | None):
+        raise SequenceError(f"{path}: `{name}` is {quoted(value)}, expected a list")
+    return value or []
+
+
+def _count(content: Any, path: Path) -> int | None:
+    value = content.get("message_count") if isinstance(content, dict) else None
+    return None if value is None else parse_whole(str(value), f"{path}: message_count", 0, _MOST_MESSAGES)

@@ -1,4 +1,4 @@
-"""The filter's belief -> messages that Foxglove and RViz show, and an MCAP file of them."""
+"""The filter's belief -> messages for Foxglove and RViz, and an MCAP file of them."""
 
 from __future__ import annotations
 
@@ -13,11 +13,10 @@ from filtering.se3 import Poses
 from sequences.recordings.mcap_writer import MAP_FRAME, MessageWriter, ros_header, ros_poses, ros_transform
 from sequences.recordings.messages import covariance_to_ros
 
-PUBLISHED_PARTICLES = 500
-"""How many particles are published after each image."""
+PUBLISHED_PARTICLES = 500  # after each image
 _ARROW_M = 0.5  # length of the arrow of a mode, along its optical axis
 _MARKER_ARROW, _MARKER_DELETE_ALL = 0, 3
-_LEAST_EIGENVALUE = 1e-14  # of the largest: what double precision tells of a matrix, whoever reads it
+_LEAST_EIGENVALUE = 1e-14  # of the largest: the resolution of double precision
 _NO_TURN = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)  # an arrow's points are in the map
 
 Believed = tuple[Poses, Float64[np.ndarray, "6 6"], float]
@@ -25,13 +24,7 @@ Believed = tuple[Poses, Float64[np.ndarray, "6 6"], float]
 
 
 class Message(NamedTuple):
-    """A message to write or to send.
-
-    Attributes:
-        topic: Its topic.
-        type: Its type, such as `geometry_msgs/PoseArray`.
-        fields: Its fields, as `cdr.write` takes them.
-    """
+    """A message to write or to send: topic, type and fields, as `message_definitions.encoder` takes them."""
 
     topic: str
     type: str
@@ -41,21 +34,11 @@ class Message(NamedTuple):
 def estimate_messages(
     time_ns: int, modes: Sequence[Believed], particles: Poses, *, under: str = "/estimate", frame: str = MAP_FRAME
 ) -> list[Message]:
-    """The belief after one image.
+    """The belief after one image, as messages in the map or another frame; poses are of the optical frame.
 
     Topics: `pose` (best mode, PoseWithCovarianceStamped; none without modes), `modes` (MarkerArray: an arrow along each
-    mode's optical axis, its opacity the weight), `particles` (PoseArray, thinned). Poses are of the camera's optical
-    frame: z is where it looks.
-
-    Args:
-        time_ns: Stamp of the image.
-        modes: Best first.
-        particles: world_from_camera, batch (n,); thinned evenly to at most 500.
-        under: What the names of topics begin with.
-        frame: The frame that poses are in.
-
-    Raises:
-        VaporTrackError: a pose is not finite, or as `pose_with_covariance`.
+    mode's optical axis, its opacity the weight), `particles` (PoseArray, thinned evenly to at most 500). Modes come
+    best first; particles are world_from_camera, (n,). Raises VaporTrackError where a pose or covariance is not sound.
     """
     header = ros_header(time_ns, frame)
     if len(particles) > PUBLISHED_PARTICLES:
@@ -75,23 +58,17 @@ def estimate_messages(
 
 
 def pose_with_covariance(pose: Poses, covariance: Float64[np.ndarray, "6 6"]) -> dict[str, Any]:
-    """geometry_msgs/PoseWithCovariance of one pose: all that are written or published are made here.
+    """geometry_msgs/PoseWithCovariance of one pose, with the covariance in the tangent at it.
 
-    A covariance whose eigenvalues differ by more than double precision tells is widened until they do not.
-
-    Args:
-        pose: One pose.
-        covariance: In the tangent at it.
-
-    Raises:
-        VaporTrackError: the pose or the covariance is not finite, or the covariance not positive definite.
+    A covariance whose eigenvalues differ by more than double precision resolves is widened until they do not. Raises
+    VaporTrackError where either is not finite, or the covariance not positive definite.
     """
-    with np.errstate(invalid="ignore"):  # of what is not finite, which is told below
-        told = covariance_to_ros(covariance, pose)
-    settle(told)
-    told += _LEAST_EIGENVALUE * np.trace(told) * np.eye(6)
-    require_sound(pose, told)
-    return {"pose": ros_poses(pose, known_valid=True), "covariance": told}
+    with np.errstate(invalid="ignore"):  # require_sound reports it
+        ros_covariance = covariance_to_ros(covariance, pose)
+    settle(ros_covariance)
+    ros_covariance += _LEAST_EIGENVALUE * np.trace(ros_covariance) * np.eye(6)
+    require_sound(pose, ros_covariance)
+    return {"pose": ros_poses(pose, known_valid=True), "covariance": ros_covariance}
 
 
 def _arrow(header: dict, rank: int, world_from_camera: Poses, weight: float) -> dict:
@@ -113,10 +90,7 @@ ESTIMATE_FRAME = "camera_estimate"
 
 
 class EstimateWriter(MessageWriter):
-    """Writes what the filter believes, in messages that Foxglove and RViz show; use it in a `with` statement.
-
-    Topics: those of `estimate_messages` under `/estimate`, and `/tf` (map -> camera_estimate).
-    """
+    """Writes `estimate_messages` under `/estimate`, and `/tf` (map -> camera_estimate); used in a `with` statement."""
 
     def __enter__(self) -> EstimateWriter:
         self._open()

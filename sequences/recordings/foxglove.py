@@ -1,26 +1,32 @@
-"""Foxglove's messages of images, poses, transforms and intrinsics -> the fields of ROS 2's that say the same.
+"""Foxglove's messages of images, poses, transforms and intrinsics -> the fields of the ROS 2 types of the same content.
 
-They come as protobuf, as JSON, or from ROS 2; the three differ in names of fields, and these differences end here.
+They come as protobuf, as JSON, or from ROS 2; the names of some fields differ between the three.
 """
 
 from __future__ import annotations
 
 import base64
 import binascii
-from collections.abc import Callable, Sequence
-from functools import lru_cache
+from collections.abc import Callable
+from functools import cache, lru_cache
 from types import SimpleNamespace
 from typing import Any
 
 from filtering.errors import quoted
 from sequences.errors import SequenceError
+from sequences.recordings.message_definitions import DEFINITIONS
 
-_PREFIXES = {"foxglove.": ("protobuf", "json"), "foxglove_msgs/": ("cdr",)}  # and how such types are encoded
+_PREFIXES = {"foxglove.": ("protobuf", "json"), "foxglove_msgs/": ("cdr",)}  # of types, with their encodings
 _MAX_STAMP_S = 2**32  # of nanoseconds since 1970 that 64 bits hold with ease
+_KINDS: dict[str, tuple[type | tuple[type, ...], str]] = {
+    "float64": ((int, float), "a number"),
+    "uint32": (int, "a whole number"),
+    "string": (str, "text"),
+}
 
 
 def read_as(message_type: str) -> str:
-    """The ROS 2 type as which messages of a type are read: itself, where it is none of Foxglove's."""
+    """The ROS 2 type as which messages of a type are read: itself, unless it is Foxglove's."""
     name = _own_name(message_type)
     return _TYPES[name][0] if name is not None else message_type
 
@@ -49,8 +55,8 @@ def converter(message_type: str) -> Callable[[Any], SimpleNamespace]:
 
     def converted(message: Any) -> SimpleNamespace:
         try:
-            return convert(message)
-        except AttributeError as error:  # JSON leaves out what it likes
+            return convert(_checked(f"foxglove_msgs/{name}", message))
+        except AttributeError as error:  # JSON may leave out any field
             raise SequenceError(f"field {error.name!r} is missing") from error
 
     return converted
@@ -58,33 +64,56 @@ def converter(message_type: str) -> Callable[[Any], SimpleNamespace]:
 
 @lru_cache(maxsize=256)
 def _own_name(message_type: str) -> str | None:
-    """The name without what says that it is Foxglove's; None for types of others, and those that nothing reads."""
+    """Foxglove's name of a type without its prefix; None for types of others, and those that nothing reads."""
     names = (message_type.removeprefix(prefix) for prefix in _PREFIXES if message_type.startswith(prefix))
     return next((name for name in names if name in _TYPES), None)
 
 
-def _number(value: object) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise SequenceError(f"{quoted(value)} where a number is expected")
-    return float(value)
+# --- fields by their definitions ------------------------------------------------------------------
 
 
-def _whole(value: object) -> int:
-    if isinstance(value, bool) or not isinstance(value, int):
-        raise SequenceError(f"{quoted(value)} where a whole number is expected")
-    return value
+@cache
+def _fields(message_type: str) -> list[tuple[str, str, bool]]:
+    """Kind and name of each field, and whether it is a single value."""
+    fields = [line.split() for line in DEFINITIONS[message_type].splitlines()]
+    return [(kind, name, "[" not in kind and not kind.endswith("/Time")) for kind, name in fields]
 
 
-def _text(value: object) -> str:
-    if not isinstance(value, str):
-        raise SequenceError(f"{quoted(value)} where text is expected")
-    return value
+def _checked(message_type: str, message: Any) -> SimpleNamespace:
+    """The fields that a type is defined to have, each of its kind."""
+    fields = SimpleNamespace()
+    for kind, name, is_single in _fields(message_type):
+        value = _of_kind(kind, getattr(message, name)) if is_single else _field(kind, name, message)
+        setattr(fields, name, value)
+    return fields
 
 
-def _list(value: Any) -> Sequence[Any]:
+def _field(kind: str, name: str, message: Any) -> Any:
+    if kind.endswith("/Time"):
+        return _stamp(message)
+    if kind.startswith("float64[") and not hasattr(message, name):
+        name = name.upper()  # of a calibration, where ROS 2 does not allow capitals
+    value = getattr(message, name)
+    if kind == "uint8[]":
+        return _data(value)
+    base, _, number = kind.removesuffix("]").partition("[")
     if isinstance(value, str | bytes | SimpleNamespace) or not hasattr(value, "__len__"):
         raise SequenceError(f"{quoted(value)} where a list is expected")
-    return value
+    values = [_of_kind(base, each) for each in value]
+    if number and len(values) not in (0, int(number)):
+        raise SequenceError(f"{name.upper()} has {len(values)} numbers, expected {number}")
+    return values or [0.0] * int(number or 0)
+
+
+def _of_kind(kind: str, value: Any) -> Any:
+    if type(value) is float and kind == "float64":
+        return value
+    if kind not in _KINDS:
+        return _checked(kind, value)
+    types, expected = _KINDS[kind]
+    if isinstance(value, bool) or not isinstance(value, types):
+        raise SequenceError(f"{quoted(value)} where {expected} is expected")
+    return float(value) if kind == "float64" else value
 
 
 def _data(value: Any) -> bytes:
@@ -97,109 +126,56 @@ def _data(value: Any) -> bytes:
         raise SequenceError(f"data of {len(value)} characters is no base64: {error}") from error
 
 
-def _numbers(message: Any, name: str, count: int | None = None) -> list[float]:
-    """The numbers of a calibration, whose names ROS 2 does not allow to be capitals; none at all are zeros."""
-    values = [_number(value) for value in _list(getattr(message, name if hasattr(message, name) else name.upper()))]
-    if count is None or len(values) == count:
-        return values
-    if values:
-        raise SequenceError(f"{name.upper()} has {len(values)} numbers, expected {count}")
-    return [0.0] * count
-
-
-def _header(message: Any, frame_id: object) -> SimpleNamespace:
-    has_field = getattr(message, "HasField", None)  # protobuf would say 1970
+def _stamp(message: Any) -> SimpleNamespace:
+    has_field = getattr(message, "HasField", None)  # protobuf would answer 1970
     if has_field is not None and not has_field("timestamp"):
         raise SequenceError("field 'timestamp' is missing")
     time = message.timestamp
+    names = ("sec", "nanosec" if hasattr(time, "nanosec") else "nsec")
     if hasattr(time, "seconds"):  # protobuf
-        seconds, nanoseconds = time.seconds, time.nanos
-    else:
-        seconds, nanoseconds = time.sec, time.nanosec if hasattr(time, "nanosec") else time.nsec
-    seconds, nanoseconds = _whole(seconds), _whole(nanoseconds)
+        names = ("seconds", "nanos")
+    seconds, nanoseconds = (_of_kind("uint32", getattr(time, name)) for name in names)
     if not (0 <= seconds < _MAX_STAMP_S and 0 <= nanoseconds < 1_000_000_000):
         raise SequenceError(f"timestamp of {seconds} s and {nanoseconds} ns, expected one since 1970")
-    return SimpleNamespace(stamp=SimpleNamespace(sec=seconds, nanosec=nanoseconds), frame_id=_text(frame_id))
+    return SimpleNamespace(sec=seconds, nanosec=nanoseconds)
 
 
-def _vector(value: Any) -> SimpleNamespace:
-    return SimpleNamespace(x=_number(value.x), y=_number(value.y), z=_number(value.z))
+# --- the same in ROS 2 ----------------------------------------------------------------------------
 
 
-def _quaternion(value: Any) -> SimpleNamespace:
-    return SimpleNamespace(x=_number(value.x), y=_number(value.y), z=_number(value.z), w=_number(value.w))
+def _with_header(fields: SimpleNamespace, **more: object) -> SimpleNamespace:
+    header = SimpleNamespace(stamp=fields.timestamp, frame_id=fields.frame_id)
+    return SimpleNamespace(header=header, **vars(fields), **more)
 
 
-def _pose(value: Any) -> SimpleNamespace:
-    return SimpleNamespace(position=_vector(value.position), orientation=_quaternion(value.orientation))
+def _path(fields: SimpleNamespace) -> SimpleNamespace:
+    path = _with_header(fields)
+    path.poses = [SimpleNamespace(header=path.header, pose=pose) for pose in fields.poses]
+    return path
 
 
-def _compressed(message: Any) -> SimpleNamespace:
-    header = _header(message, message.frame_id)
-    return SimpleNamespace(header=header, format=_text(message.format), data=_data(message.data))
-
-
-def _raw_image(message: Any) -> SimpleNamespace:
+def _transform(fields: SimpleNamespace) -> SimpleNamespace:
     return SimpleNamespace(
-        header=_header(message, message.frame_id),
-        width=_whole(message.width),
-        height=_whole(message.height),
-        encoding=_text(message.encoding),
-        is_bigendian=0,
-        step=_whole(message.step),
-        data=_data(message.data),
+        header=SimpleNamespace(stamp=fields.timestamp, frame_id=fields.parent_frame_id),
+        child_frame_id=fields.child_frame_id,
+        transform=SimpleNamespace(translation=fields.translation, rotation=fields.rotation),
     )
 
 
-def _camera_calibration(message: Any) -> SimpleNamespace:
-    return SimpleNamespace(
-        header=_header(message, message.frame_id),
-        width=_whole(message.width),
-        height=_whole(message.height),
-        distortion_model=_text(message.distortion_model),
-        d=_numbers(message, "d"),
-        k=_numbers(message, "k", 9),
-        r=_numbers(message, "r", 9),
-        p=_numbers(message, "p", 12),
-        binning_x=0,
-        binning_y=0,
-        roi=SimpleNamespace(x_offset=0, y_offset=0, width=0, height=0, do_rectify=False),
-    )
-
-
-def _pose_in_frame(message: Any) -> SimpleNamespace:
-    return SimpleNamespace(header=_header(message, message.frame_id), pose=_pose(message.pose))
-
-
-def _poses_in_frame(message: Any) -> SimpleNamespace:
-    header = _header(message, message.frame_id)
-    poses = [SimpleNamespace(header=header, pose=_pose(pose)) for pose in _list(message.poses)]
-    return SimpleNamespace(header=header, poses=poses)
-
-
-def _stamped_transform(message: Any) -> SimpleNamespace:
-    return SimpleNamespace(
-        header=_header(message, message.parent_frame_id),
-        child_frame_id=_text(message.child_frame_id),
-        transform=SimpleNamespace(translation=_vector(message.translation), rotation=_quaternion(message.rotation)),
-    )
-
-
-def _frame_transform(message: Any) -> SimpleNamespace:
-    return SimpleNamespace(transforms=[_stamped_transform(message)])
-
-
-def _frame_transforms(message: Any) -> SimpleNamespace:
-    return SimpleNamespace(transforms=[_stamped_transform(one) for one in _list(message.transforms)])
-
-
-_TYPES: dict[str, tuple[str, Callable[[Any], SimpleNamespace]]] = {
-    "CompressedImage": ("sensor_msgs/CompressedImage", _compressed),
-    "RawImage": ("sensor_msgs/Image", _raw_image),
-    "CompressedVideo": ("foxglove_msgs/CompressedVideo", _compressed),
-    "CameraCalibration": ("sensor_msgs/CameraInfo", _camera_calibration),
-    "PoseInFrame": ("geometry_msgs/PoseStamped", _pose_in_frame),
-    "PosesInFrame": ("nav_msgs/Path", _poses_in_frame),
-    "FrameTransform": ("tf2_msgs/TFMessage", _frame_transform),
-    "FrameTransforms": ("tf2_msgs/TFMessage", _frame_transforms),
+_WHOLE_SENSOR = SimpleNamespace(x_offset=0, y_offset=0, width=0, height=0, do_rectify=False)
+_TYPES: dict[str, tuple[str, Callable[[SimpleNamespace], SimpleNamespace]]] = {
+    "CompressedImage": ("sensor_msgs/CompressedImage", _with_header),
+    "RawImage": ("sensor_msgs/Image", lambda fields: _with_header(fields, is_bigendian=0)),
+    "CompressedVideo": ("foxglove_msgs/CompressedVideo", _with_header),
+    "CameraCalibration": (
+        "sensor_msgs/CameraInfo",
+        lambda fields: _with_header(fields, binning_x=0, binning_y=0, roi=_WHOLE_SENSOR),
+    ),
+    "PoseInFrame": ("geometry_msgs/PoseStamped", _with_header),
+    "PosesInFrame": ("nav_msgs/Path", _path),
+    "FrameTransform": ("tf2_msgs/TFMessage", lambda fields: SimpleNamespace(transforms=[_transform(fields)])),
+    "FrameTransforms": (
+        "tf2_msgs/TFMessage",
+        lambda fields: SimpleNamespace(transforms=[_transform(each) for each in fields.transforms]),
+    ),
 }

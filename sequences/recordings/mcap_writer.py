@@ -1,4 +1,4 @@
-"""MCAP files with ROS 2 messages, complete or not there at all; poses and headers as those have them."""
+"""MCAP files with ROS 2 messages, complete or absent; poses and headers of ROS 2."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class MessageChannels:
         self._channels: dict[tuple[str, str], int] = {}
 
     def write(self, raw: RawMessage) -> None:
-        """Write a message as it is; a type that is not known is registered without a definition."""
+        """Write a message unchanged; an unknown type is registered without a definition."""
         key = raw.topic, raw.type
         if key not in self._channels:
             if raw.type not in self._schemas:
@@ -59,16 +59,14 @@ class MessageWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        if error is None:
-            try:
-                self._writer.finish()
-            except BaseException as failure:  # a full disk, an interruption: the partial file must go
-                if not self._stack.__exit__(type(failure), failure, failure.__traceback__):
-                    raise
-        self._stack.__exit__(kind, error, traceback)
+        if error is not None:
+            self._stack.__exit__(kind, error, traceback)
+            return
+        with self._stack:  # after a full disk or an interruption, the partial file must go
+            self._writer.finish()
 
     def _write(self, topic: str, message_type: str, message: dict, time_ns: int) -> None:
-        """Write a message, whose fields are as `cdr.write` takes them."""
+        """Write a message, whose fields are as `encoder` takes them."""
         data = encoder(message_type)(message)
         self._channels.write(RawMessage(topic, int(time_ns), data, message_type, MessageEncoding.CDR, b""))
 

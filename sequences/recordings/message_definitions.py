@@ -1,14 +1,21 @@
-"""The ROS 2 message types that are read and written, as text, and how their bytes are read and written: all of ROS."""
+"""The ROS 2 message types that are read and written, as text, and their bytes (CDR).
+
+Numbers are aligned to their size, counted from behind the four bytes of the header. So numbers that follow each other,
+of whichever message within the message, are one struct, which depends only on where within eight bytes it begins.
+"""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
-from functools import cache, partial
+import struct
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, make_dataclass
+from functools import cache, lru_cache, partial
+from itertools import islice
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
-from sequences.recordings import cdr
+import numpy as np
 
 DEFINITIONS = {
     "builtin_interfaces/Time": "int32 sec\nuint32 nanosec",
@@ -102,27 +109,224 @@ def schema_text(message_type: str) -> str:
 
 
 def schema_name(message_type: str) -> str:
-    """The name that ROS 2 gives a type in a file: `nav_msgs/msg/Odometry`."""
+    """The name of a type in files of ROS 2: `nav_msgs/msg/Odometry`."""
     return message_type.replace("/", "/msg/")
 
 
-@cache
-def begins_with_stamp(message_type: str) -> bool:
-    """Whether a message's bytes begin with the time that it is of: seconds and nanoseconds."""
-    return DEFINITIONS.get(message_type, "").startswith(("std_msgs/Header ", "builtin_interfaces/Time timestamp"))
+@lru_cache(maxsize=256)
+def begins_with_stamp(message_type: str, definition: bytes = b"") -> bool:
+    """Whether a message's bytes begin with seconds and nanoseconds; a file's definition counts for unknown types."""
+    text = DEFINITIONS.get(message_type) or definition.decode(errors="replace")
+    lines = [line.split("#")[0].strip() for line in text.splitlines()]
+    first = next((line for line in lines if line and "=" not in line), "")
+    return first.startswith(("std_msgs/Header ", "Header ", "builtin_interfaces/Time "))
 
 
 @cache
 def decoder(message_type: str) -> Callable[[bytes], SimpleNamespace]:
-    """A function from the CDR bytes of a message to its fields.
+    """A function from the CDR bytes of a message to its fields, which follows the definitions above.
 
-    It follows the definitions above and not the file's own text: these types have not changed in ROS 2, and
-    recorders leave the text out where they do not find it.
+    These types have not changed in ROS 2, and recorders leave their text out where they do not find it. Bytes behind
+    the message are ignored, and a list of bytes at its end may be cut off. Bytes that end early, or text that is not
+    UTF-8, raise ValueError or struct.error.
     """
-    return partial(cdr.read, cdr.layout_of(message_type, DEFINITIONS))
+    return partial(_read_message, _layout_of(message_type))
 
 
 @cache
 def encoder(message_type: str) -> Callable[[Mapping[str, Any]], bytes]:
-    """A function from the fields of a message to its CDR bytes, as `cdr.write` has it."""
-    return partial(cdr.write, cdr.layout_of(message_type, DEFINITIONS))
+    """A function from the fields of a message, by name, to its little-endian CDR bytes.
+
+    Missing fields are zero or empty. A message within it that consists of numbers may be an array of them in their
+    order; a list of n messages that consist of k float64, one (n, k). Fields with a wrong number of numbers, or numbers
+    out of range, raise ValueError or struct.error.
+    """
+    return partial(_write_message, _layout_of(message_type))
+
+
+# --- CDR ------------------------------------------------------------------------------------------
+
+_HEADER = 4  # bytes; the last bit of the second is set where numbers are little-endian
+_CODES = {
+    "bool": "?",
+    "byte": "B",
+    "uint8": "B",
+    "int32": "i",
+    "uint32": "I",
+    "uint64": "Q",
+    "float32": "f",
+    "float64": "d",
+}
+
+
+@dataclass(frozen=True)
+class _List:
+    """A list of any length, of numbers of a code or of messages. Text is a list of characters."""
+
+    of: _Layout | str
+
+
+class _Field(NamedTuple):
+    """A field: its name, the layout of a message or the length of an array, else None; its values if left out."""
+
+    name: str
+    kind: _Layout | int | None
+    absent: list[Any]
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """The bytes of a message type.
+
+    Attributes:
+        made: Class of its messages as they are read; with slots, as paths have many poses.
+        fields: Its fields.
+        parts: Numbers in a row, by their codes, and lists, in the order of the bytes.
+    """
+
+    made: type[SimpleNamespace]
+    fields: tuple[_Field, ...]
+    parts: tuple[str | _List, ...]
+
+
+_TEXT = _List("text")
+
+
+@cache
+def _layout_of(message_type: str) -> _Layout:
+    fields: list[_Field] = []
+    parts: list[str | _List] = []
+    for line in DEFINITIONS[message_type].splitlines():
+        kind, name = line.split()
+        match = re.fullmatch(r"([\w/]+)(\[(\d*)\])?", kind)
+        assert match is not None
+        base, is_list, length = match.group(1, 2, 3)
+        of = _layout_of(base) if "/" in base else _CODES.get(base)
+        added: tuple[str | _List, ...]
+        if is_list and not length:
+            assert of is not None
+            field, added = _Field(name, None, [()]), (_List(of),)
+        elif isinstance(of, _Layout):
+            field, added = _Field(name, of, [value for each in of.fields for value in each.absent]), of.parts
+        elif of is not None:
+            number = int(length or 1)
+            field, added = _Field(name, number if is_list else None, [0] * number), (of * number,)
+        else:
+            field, added = _Field(name, None, [""]), (_TEXT,)
+        fields.append(field)
+        for part in added:
+            if isinstance(part, str) and parts and isinstance(parts[-1], str):
+                parts[-1] += part
+            else:
+                parts.append(part)
+    names = [field.name for field in fields]
+    made = make_dataclass(message_type.rpartition("/")[2], names, bases=(SimpleNamespace,), slots=True)
+    return _Layout(made, tuple(fields), tuple(parts))
+
+
+@cache
+def _struct(codes: str, order: str, begin: int) -> struct.Struct:
+    """Numbers in a row with their gaps, where the first lies `begin` bytes behind a multiple of eight."""
+    form, at = order, begin
+    for code in codes:
+        size = struct.calcsize(f"<{code}")
+        form += "x" * (-at % size) + code
+        at += -at % size + size
+    return struct.Struct(form)
+
+
+def _read_message(layout: _Layout, data: bytes) -> SimpleNamespace:
+    if len(data) < _HEADER:
+        raise ValueError(f"{len(data)} bytes, expected a header of {_HEADER} at least")
+    return _read(layout, data, _HEADER, "<" if data[1] & 1 else ">")[0]
+
+
+def _read(layout: _Layout, data: bytes, at: int, order: str) -> tuple[SimpleNamespace, int]:
+    """The message that begins at some byte, and where it ends."""
+    values: list[Any] = []
+    for part in layout.parts:
+        if isinstance(part, str):
+            numbers = _struct(part, order, (at - _HEADER) % 8)
+            values += numbers.unpack_from(data, at)
+            at += numbers.size
+            continue
+        prefix = _struct("I", order, (at - _HEADER) % 8)
+        (count,) = prefix.unpack_from(data, at)
+        at += prefix.size
+        if part is _TEXT:
+            values.append(data[at : at + count - 1].decode() if count else "")
+            at += count
+        elif part.of == "B":
+            values.append(data[at : at + count])
+            at += count
+        elif isinstance(part.of, str):
+            at += -(at - _HEADER) % struct.calcsize(part.of) if count else 0
+            values.append(list(struct.unpack_from(f"{order}{count}{part.of}", data, at)))
+            at += count * struct.calcsize(part.of)
+        else:
+            messages = []
+            for _ in range(count):
+                message, at = _read(part.of, data, at, order)
+                messages.append(message)
+            values.append(messages)
+    return _named(layout, iter(values)), at
+
+
+def _named(layout: _Layout, values: Iterator[Any]) -> SimpleNamespace:
+    fields = [
+        next(values)
+        if kind is None
+        else _named(kind, values)
+        if isinstance(kind, _Layout)
+        else list(islice(values, kind))
+        for _, kind, _ in layout.fields
+    ]
+    return layout.made(*fields)
+
+
+def _write_message(layout: _Layout, message: Mapping[str, Any]) -> bytes:
+    out = bytearray(b"\x00\x01\x00\x00")
+    _write(layout, message, out)
+    return bytes(out)
+
+
+def _write(layout: _Layout, message: Mapping[str, Any], out: bytearray) -> None:
+    values = iter(_values(layout, message))
+    for part in layout.parts:
+        if isinstance(part, str):
+            out += _struct(part, "<", (len(out) - _HEADER) % 8).pack(*islice(values, len(part)))
+            continue
+        value = next(values)
+        if part is _TEXT:
+            value = value.encode() + b"\0"
+        out += _struct("I", "<", (len(out) - _HEADER) % 8).pack(len(value))
+        if isinstance(value, bytes):
+            out += value
+        elif isinstance(part.of, _Layout) and not isinstance(value, np.ndarray):
+            for each in value:
+                _write(part.of, each, out)
+        elif len(value):
+            row = part.of.parts if isinstance(part.of, _Layout) else (part.of,)
+            numbers = np.asarray(value, "<f8").reshape(len(value), -1)
+            if row != ("d" * numbers.shape[1],):
+                raise ValueError(f"a list of {numbers.shape[1]} float64 each, expected {row}")
+            out += bytes(-(len(out) - _HEADER) % 8) + numbers.tobytes()
+
+
+def _values(layout: _Layout, message: Mapping[str, Any]) -> list[Any]:
+    """The numbers of a message one by one, and its lists."""
+    values: list[Any] = []
+    for name, kind, absent in layout.fields:
+        value = message.get(name)
+        if value is None:
+            values += absent
+        elif kind is None:
+            values.append(value)
+        else:
+            if isinstance(value, np.ndarray):
+                value = value.ravel().tolist()
+            added = _values(kind, value) if isinstance(value, Mapping) and isinstance(kind, _Layout) else value
+            if len(added) != len(absent):
+                raise ValueError(f"{name} has {len(added)} numbers, expected {len(absent)}")
+            values += added
+    return values

@@ -1,7 +1,7 @@
-"""One decoded ROS 2 message -> numpy and the types of this project, without side effects.
+"""One decoded ROS 2 message -> numpy and the types of this project.
 
-The conventions of ROS end here: pose covariances about the axes of the parent frame, twist covariances in the child
-frame, quaternions in x, y, z, w order, frame names with or without a leading slash.
+ROS has pose covariances about the axes of the parent frame, twist covariances in the child frame, quaternions in x, y,
+z, w order, and frame names with or without a leading slash.
 """
 
 from __future__ import annotations
@@ -20,20 +20,16 @@ from filtering.se3 import Poses
 
 _MAX_DISTANCE_M = 1e8  # further than from any frame on Earth
 _MAX_COVARIANCE = 1e12
-# (3.2 m/s)², (3.2 rad/s)²: who knows no more about how a camera moves has not measured it. Drivers write 100, 500, 999,
-# 99999 or 1e6 for such axes; what wheels, inertia or vision do measure is known a hundred times better.
+# (3.2 m/s)², (3.2 rad/s)²: such an axis is not measured. Drivers write 100, 500, 999, 99999 or 1e6 for it; wheels,
+# inertia and vision are a hundred times better.
 _UNKNOWN_VARIANCE = 10.0
 
 
 @dataclass(frozen=True)
 class OdometrySample:
-    """One odometry message.
+    """One odometry message: stamp, pose, and covariance of the velocity (v, ω) in the child frame, per second squared.
 
-    Attributes:
-        time_ns: Header stamp.
-        odom_from_base: Pose of the child frame in the odometry frame.
-        twist_covariance: Covariance of the velocity (v, ω) in the child frame, per second squared; zero if unknown,
-            infinite on the diagonal, and zero beside it, for an axis that is not measured.
+    The covariance is zero if unknown. An axis that is not measured is infinite on the diagonal, and zero beside it.
     """
 
     time_ns: int
@@ -62,11 +58,7 @@ def frame_name(frame_id: str) -> str:
 
 
 def pose_from_message(message: SimpleNamespace) -> Poses:
-    """geometry_msgs/Pose -> one pose.
-
-    Raises:
-        VaporTrackError: it is not finite, is absurdly far away, or its quaternion is not of unit length.
-    """
+    """geometry_msgs/Pose -> one pose. Raises VaporTrackError where it is not finite, too far away or no rotation."""
     p, q = message.position, message.orientation
     return _pose((p.x, p.y, p.z), (q.x, q.y, q.z, q.w))
 
@@ -80,12 +72,9 @@ def pose_from_transform(message: SimpleNamespace) -> Poses:
 def odometry_from_message(message: SimpleNamespace) -> OdometrySample:
     """nav_msgs/Odometry -> a sample.
 
-    The pose covariance is left: it accumulates from the start, or is a constant placeholder, and says nothing about
-    the motion between two images. The twist covariance speaks about just that. −1 in its first element, the mark of an
-    unknown covariance, becomes zeros. A variance of 10 or more says that its axis is not measured.
-
-    Raises:
-        VaporTrackError: the pose or the twist covariance is not finite, or no covariance.
+    The pose covariance is ignored: it accumulates from the start, or is a placeholder. A twist covariance with −1 in
+    its first element is unknown, and becomes zeros. A variance of 10 or more marks an axis that is not measured. Raises
+    VaporTrackError where the pose or the twist covariance is not finite, or no covariance.
     """
     pose = pose_from_message(message.pose.pose)
     return OdometrySample(stamp_ns(message.header), pose, _twist_covariance(tuple(message.twist.covariance)))
@@ -96,7 +85,7 @@ def _twist_covariance(values: tuple[float, ...]) -> Float64[np.ndarray, "6 6"]:
     covariance = np.array(values, np.float64).reshape(6, 6)
     if covariance[0, 0] == -1.0:
         covariance = np.zeros((6, 6))
-    unmeasured = np.flatnonzero(covariance.diagonal() >= _UNKNOWN_VARIANCE)  # an infinite one, too; NaN is none
+    unmeasured = np.flatnonzero(covariance.diagonal() >= _UNKNOWN_VARIANCE)  # infinity is, NaN is not
     covariance[unmeasured] = covariance[:, unmeasured] = 0.0
     if not np.isfinite(covariance).all() or np.abs(covariance).max() > _MAX_COVARIANCE:
         raise VaporTrackError(f"twist covariance is not finite or above {_MAX_COVARIANCE:g}: {covariance.tolist()}")
@@ -113,12 +102,7 @@ def _twist_covariance(values: tuple[float, ...]) -> Float64[np.ndarray, "6 6"]:
 def transforms_from_message(
     message: SimpleNamespace, links: Collection[tuple[str, str]] | None = None
 ) -> tuple[list[FrameTransform], list[str]]:
-    """tf2_msgs/TFMessage -> its transforms, and what is wrong with each of those that are none.
-
-    Args:
-        message: The message.
-        links: Names of parent and child of those that are asked for; None for all.
-    """
+    """tf2_msgs/TFMessage -> its transforms (of some links, parent and child), and the problem of each unusable one."""
     transforms, problems = [], []
     for stamped in message.transforms:
         parent, child = frame_name(stamped.header.frame_id), frame_name(stamped.child_frame_id)
@@ -146,32 +130,27 @@ def covariance_from_ros(covariance: Float64[np.ndarray, "6 6"], pose: Poses) -> 
 
 
 def _pose(translation: tuple[float, float, float], quat_xyzw: tuple[float, float, float, float]) -> Poses:
-    """A pose whose numbers can be those of one: a damaged message may hold any."""
+    norm = math.hypot(*quat_xyzw)
+    if not (all(abs(each) <= _MAX_DISTANCE_M for each in translation) and 0.9 < norm < 1.1):  # NaN compares as false
+        if all(map(math.isfinite, (*translation, *quat_xyzw))):
+            raise VaporTrackError(
+                f"pose with translation {list(translation)} and quaternion of length {norm:.3g},"
+                f" expected one within {_MAX_DISTANCE_M:g} m and a unit quaternion"
+            )
+        return Poses.from_quat_xyzw(np.array(translation), np.array(quat_xyzw))  # which names what is not finite
+    # To the last bit `Poses.from_quat_xyzw`, in a tenth of the time.
     x, y, z, w = quat_xyzw
-    norm = math.sqrt(x * x + y * y + z * z + w * w)
-    if all(abs(each) <= _MAX_DISTANCE_M for each in translation) and 0.9 < norm < 1.1:  # NaN compares as false
-        return Poses(_rotation(x / norm, y / norm, z / norm, w / norm), np.array(translation))
-    if all(map(math.isfinite, (*translation, *quat_xyzw))):
-        raise VaporTrackError(
-            f"pose with translation {list(translation)} and quaternion of length {math.hypot(*quat_xyzw):.3g},"
-            f" expected one within {_MAX_DISTANCE_M:g} m and a unit quaternion"
-        )
-    return Poses.from_quat_xyzw(np.array(translation), np.array(quat_xyzw))  # which says what is not finite
-
-
-def _rotation(x: float, y: float, z: float, w: float) -> Float64[np.ndarray, "3 3"]:
-    """Rotation matrix of a quaternion: to the last bit that of `Poses.from_quat_xyzw`, in a tenth of the time."""
-    norm = math.sqrt(x * x + y * y + z * z + w * w)
-    x, y, z, w = x / norm, y / norm, z / norm, w / norm
+    for _ in range(2):
+        norm = math.sqrt(x * x + y * y + z * z + w * w)
+        x, y, z, w = x / norm, y / norm, z / norm, w / norm
     xx, yy, zz, ww = x * x, y * y, z * z, w * w
     xy, xz, yz, xw, yw, zw = x * y, x * z, y * z, x * w, y * w, z * w
-    return np.array(
-        [
-            [xx - yy - zz + ww, 2 * (xy - zw), 2 * (xz + yw)],
-            [2 * (xy + zw), -xx + yy - zz + ww, 2 * (yz - xw)],
-            [2 * (xz - yw), 2 * (yz + xw), -xx - yy + zz + ww],
-        ]
-    )
+    rotation = [
+        [xx - yy - zz + ww, 2 * (xy - zw), 2 * (xz + yw)],
+        [2 * (xy + zw), -xx + yy - zz + ww, 2 * (yz - xw)],
+        [2 * (xz - yw), 2 * (yz + xw), -xx - yy + zz + ww],
+    ]
+    return Poses(np.array(rotation), np.array(translation))
 
 
 def _turn(pose: Poses) -> np.ndarray:

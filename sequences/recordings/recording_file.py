@@ -1,29 +1,34 @@
-"""One file of a recording, of whatever format: its channels, and a stream of raw messages in bounded memory.
+"""One file of a recording, in any format: its channels, and a stream of raw messages in bounded memory.
 
-A file consists of pieces, which are read in the order in which they lie in it: chunks, stretches of rows, or all of it.
-What an index says of a piece that nobody needs is believed without opening it; what comes is counted, and compared with
-what the file states.
+A file consists of pieces, which are read in their order: chunks, ranges of rows, or all of it. Pieces that nobody needs
+are counted by the index, without opening them. The count is compared with the number of messages that the file states.
 """
 
 from __future__ import annotations
 
+import io
+import sqlite3
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Set
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, closing, contextmanager
+from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, BinaryIO, ClassVar, NamedTuple, cast
 
 from sequences.errors import SequenceError
 
-SUFFIXES = (".mcap", ".db3", ".bag")
-"""Of the names of recordings' files."""
+if TYPE_CHECKING:
+    from rosbags.rosbag1 import Reader
 
+SUFFIXES = (".mcap", ".db3", ".bag")
+SQLITE_MAGIC, ROS1_MAGIC = b"SQLite format 3\0", b"#ROSBAG V"
+_ROWS = 1000  # of a piece of SQLite
 _MAX_KEPT_BYTES = 1 << 26
 
 
 class Channel(NamedTuple):
-    """What a file says of the messages of one writer: their topic, type, encoding and the type's definition."""
+    """The messages of one writer: their topic, type, encoding and the type's definition."""
 
     topic: str
     type: str
@@ -32,7 +37,7 @@ class Channel(NamedTuple):
 
 
 class RawRecord(NamedTuple):
-    """One message as it lies in a file: the channel's id, the time it was logged and its bytes."""
+    """One message of a file: the channel's id, the time it was logged and its bytes."""
 
     channel_id: int
     log_time_ns: int
@@ -40,13 +45,7 @@ class RawRecord(NamedTuple):
 
 
 class Piece(NamedTuple):
-    """A part of a file.
-
-    Attributes:
-        channels: Which channels it has messages of; None where only reading tells.
-        counted: Gives how many messages of some channels it has, without reading them.
-        records: Gives the messages of some channels.
-    """
+    """A part of a file: its channels (None where unknown), a count and an iterator of its messages of some channels."""
 
     channels: Set[int] | None
     counted: Callable[[Set[int]], Counter[int]]
@@ -57,15 +56,13 @@ class RecordingFile(ABC):
     """One file: opened, checked and listed.
 
     Attributes:
-        path: What was opened.
-        channels: Channels by id.
-        counts: How many messages each channel has, by id: as the file states it, where it does, else as counted.
-        states_counts: Whether the file itself states how many messages it has.
+        counts: Messages of each channel, by id: as the file states, else as counted.
+        states_counts: Whether the file states them.
         metadata: Metadata records by name, later ones over earlier ones.
     """
 
-    rescue: ClassVar[str] = "record it anew"
-    """What may help where messages are missing."""
+    rescue: ClassVar[str] = "record it again"
+    """Advice where messages are missing."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -77,15 +74,10 @@ class RecordingFile(ABC):
     def messages(
         self, topics: Collection[str], *, until: Callable[[int], bool] = lambda log_time_ns: False
     ) -> Iterator[RawRecord]:
-        """Messages of some topics, in the order in which they lie in the file; several iterators may run at once.
+        """Messages of some topics, in their order in the file; several iterators may run at once.
 
-        Args:
-            topics: Names of topics.
-            until: Whether messages of a channel from a log time on are not wanted: those that lie behind the first such
-                one are not given, but counted, without opening the pieces that hold nothing else.
-
-        Raises:
-            SequenceError: the file is damaged; at the end, where there are fewer or more messages than it states.
+        The first message of a channel for whose log time `until` is true, and those behind it, are only counted. Raises
+        SequenceError where the file is damaged, or has not the number of messages that it states.
         """
         asked = {id for id, channel in self.channels.items() if channel.topic in topics}
         found: Counter[int] = Counter()
@@ -113,18 +105,15 @@ class RecordingFile(ABC):
 
     @abstractmethod
     def _reading(self) -> AbstractContextManager[Any]:
-        """Open the file; whatever goes wrong while reading becomes an error that names it and says what was found."""
+        """Open the file; any error of reading becomes one that names it."""
 
     @abstractmethod
     def _pieces(self, source: Any) -> Iterator[Piece]:
-        """The pieces of the file, in their order, as `_reading` has opened it."""
+        """The pieces of the opened file, in their order."""
 
 
 class LatestChunks:
-    """The chunks that were unpacked last, of all files of a recording: several iterators close by need the same ones.
-
-    Chunks of 64 MB together are kept at most.
-    """
+    """The latest unpacked chunks of all files of a recording, at most 64 MB: several iterators need the same ones."""
 
     def __init__(self) -> None:
         self._kept: dict[tuple[Path, int], bytes] = {}  # the one used last comes last
@@ -141,3 +130,123 @@ class LatestChunks:
         while sum(map(len, self._kept.values())) > _MAX_KEPT_BYTES:
             del self._kept[next(iter(self._kept))]
         return data
+
+
+class SqliteFile(RecordingFile):
+    """One file of a rosbag2 of SQLite storage, as ROS 2 Humble records by default; its messages come by their ids.
+
+    It states no number of messages beside the messages themselves, which SQLite keeps whole or not at all.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self.states_counts = True
+        with self._reading() as database:
+            tables = {name for (name,) in database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+            if not {"topics", "messages"} <= tables:
+                raise SequenceError(f"{path}: SQLite without the tables `topics` and `messages`, expected a rosbag2")
+            for id, *described in database.execute("SELECT id, name, type, serialization_format FROM topics"):
+                name, kind, encoding = map(str, described)
+                self.channels[id] = Channel(name, kind.replace("/msg/", "/"), encoding, b"")
+            self.counts = self._counted(database, 0, 1 << 62, self.channels.keys())
+
+    @contextmanager
+    def _reading(self) -> Iterator[sqlite3.Connection]:
+        # Without a log beside it nothing is written to the folder, which may be on a medium that refuses it.
+        complete = "" if self.path.with_name(self.path.name + "-wal").exists() else "&immutable=1"
+        address = f"{self.path.absolute().as_uri()}?mode=ro{complete}"
+        try:
+            # Iterators may go from thread to thread; none is used by two at a time.
+            with closing(sqlite3.connect(address, uri=True, check_same_thread=False)) as database:
+                database.execute("PRAGMA trusted_schema = OFF")
+                yield database
+        except (sqlite3.Error, ValueError, TypeError, OverflowError) as error:
+            raise SequenceError(f"{self.path}: damaged SQLite: {error}; expected a readable rosbag2") from error
+
+    def _pieces(self, source: sqlite3.Connection) -> Iterator[Piece]:
+        first, last = source.execute("SELECT min(id), max(id) FROM messages").fetchone()
+        while first is not None:
+            rows = source.execute("SELECT id FROM messages WHERE id >= ? ORDER BY id LIMIT 1 OFFSET ?", (first, _ROWS))
+            end = (rows.fetchone() or (last + 1,))[0]
+            counts = self._counted(source, first, end, self.channels.keys())
+            yield Piece(
+                counts.keys(),
+                lambda ids, counts=counts: Counter({id: counts[id] for id in ids}),
+                partial(self._records, source, first, end),
+            )
+            first = end if end <= last else None
+
+    def _counted(self, database: sqlite3.Connection, first: int, end: int, ids: Set[int]) -> Counter[int]:
+        """How many messages with ids from `first` up to `end` some channels have."""
+        rows = database.execute(
+            "SELECT topic_id, count(*) FROM messages WHERE id >= ? AND id < ? GROUP BY topic_id", (first, end)
+        )
+        return Counter({id: count for id, count in rows if id in ids})
+
+    def _records(self, database: sqlite3.Connection, first: int, end: int, ids: Set[int]) -> Iterator[RawRecord]:
+        wanted = ",".join(str(int(id)) for id in sorted(ids))
+        rows = database.execute(
+            f"SELECT topic_id, timestamp, data FROM messages WHERE id >= ? AND id < ? AND topic_id IN ({wanted})"
+            " ORDER BY id",
+            (first, end),
+        )
+        for id, log_time_ns, data in rows:
+            if not (isinstance(log_time_ns, int) and isinstance(data, bytes)):
+                raise ValueError(f"a message of {self.channels[id].topic} has no time or no bytes")
+            yield RawRecord(id, log_time_ns, data)
+
+
+class _BoundedFile(io.BufferedReader):
+    """A file that limits reads to its size: reads allocate memory first, and damage may ask for any size."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(io.FileIO(path))
+        self._size = path.stat().st_size
+
+    def read(self, size: int | None = -1) -> bytes:
+        return super().read(size if size is None else min(size, max(0, self._size - self.tell())))
+
+
+class _BoundedPath(type(Path())):
+    def open(self, *_: Any, **__: Any) -> BinaryIO:  # pyright: ignore[reportIncompatibleMethodOverride]
+        return cast(BinaryIO, _BoundedFile(self))
+
+
+class Ros1File(RecordingFile):
+    """One ROS 1 bag, read by the library `rosbags`; its messages come in the order in which they were logged."""
+
+    rescue = "`rosbag reindex` rescues what is readable"
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self.states_counts = True
+        with self._reading() as reader:
+            for connection in reader.connections:
+                kind = connection.msgtype.replace("/msg/", "/").replace("tf/tfMessage", "tf2_msgs/TFMessage")
+                self.channels[connection.id] = Channel(connection.topic, kind, "ros1", b"")
+            for chunk in reader.chunk_infos:
+                self.counts.update(chunk.connection_counts)
+
+    @contextmanager
+    def _reading(self) -> Iterator[Reader]:
+        from rosbags.rosbag1 import Reader  # few recordings need it, and every command would pay for it
+
+        try:
+            reader = Reader(cast(Any, _BoundedPath(self.path)))
+            with reader:
+                yield reader
+        except SequenceError:
+            raise
+        except Exception as error:  # damaged files raise struct, index, assertion, lz4 and unicode errors
+            reason = f"{type(error).__name__}: {error}".rstrip(": ")
+            raise SequenceError(
+                f"{self.path}: damaged or unfinished ROS 1 bag: {reason}; expected one with an index ({self.rescue})"
+            ) from error
+
+    def _pieces(self, source: Reader) -> Iterator[Piece]:
+        yield Piece(None, lambda ids: Counter(), partial(self._records, source))
+
+    def _records(self, reader: Reader, ids: Set[int]) -> Iterator[RawRecord]:
+        if asked := [connection for connection in reader.connections if connection.id in ids]:
+            for connection, log_time_ns, data in reader.messages(asked):
+                yield RawRecord(connection.id, log_time_ns, bytes(data))

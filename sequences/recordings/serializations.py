@@ -24,39 +24,27 @@ _MAX_BYTES = 1 << 28
 
 
 def encoding_of(message_type: str, encoding: str) -> str:
-    """How messages are serialized once they are plain."""
+    """The encoding of `plain` bytes."""
     return "cdr" if encoding == "ros1" and message_type in DEFINITIONS else encoding
 
 
 def plain(message_type: str, encoding: str, data: bytes) -> bytes:
-    """Bytes of a message, plain.
-
-    Args:
-        message_type: Its type, without ROS 2's `/msg`.
-        encoding: How the file says that it is serialized.
-        data: Its bytes in the file.
-
-    Raises:
-        Exception: they are damaged; what it is depends on the library.
-    """
+    """Bytes of a message, unpacked, and as ROS 2 has them. Damaged ones raise any exception, by the library."""
     if encoding == "cdr" and data.startswith(_ZSTD):  # rosbag2's compression_mode `message`
-        return _unpacked(data)
+        size = zstandard.frame_content_size(data)  # allocated whatever the limit; -1 where not stated
+        if size > _MAX_BYTES:
+            raise ValueError(f"states {size} bytes uncompressed, expected at most {_MAX_BYTES}")
+        if size == -1:
+            return zstandard.ZstdDecompressor().decompressobj().decompress(data)
+        return zstandard.decompress(data)
     if encoding == "ros1" and message_type in DEFINITIONS:
         return bytes(_ros1().ros1_to_cdr(data, schema_name(message_type)))
     return data
 
 
-def _unpacked(data: bytes) -> bytes:
-    size = zstandard.frame_content_size(data)  # what is allocated, whatever limit is given; -1 where not stated
-    if size > _MAX_BYTES:
-        raise ValueError(f"states {size} bytes uncompressed, expected at most {_MAX_BYTES}")
-    unpacked = zstandard.ZstdDecompressor().decompressobj().decompress(data) if size == -1 else None
-    return zstandard.decompress(data) if unpacked is None else unpacked
-
-
 @cache
 def _ros1() -> Typestore:
-    """The types that are read, by our own definitions: what a file says of its types is not run."""
+    """The types that are read, by our own definitions: those of files are not run."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # few recordings need it
 
     store = get_typestore(Stores.EMPTY)
@@ -68,15 +56,9 @@ def _ros1() -> Typestore:
 
 @lru_cache(maxsize=256)
 def decoder(message_type: str, encoding: str, definition: bytes) -> Callable[[bytes], SimpleNamespace]:
-    """A function from the bytes of a message to its fields.
+    """A function from the bytes of a message to its fields; only protobuf needs the file's definition of the type.
 
-    Args:
-        message_type: Its type as the file names it, without ROS 2's `/msg`.
-        encoding: How it is serialized: "cdr", "protobuf" or "json".
-        definition: What the file says of its type: only protobuf needs it, a FileDescriptorSet.
-
-    Raises:
-        SequenceError: the encoding is none of these, or the type's definition is damaged.
+    Raises SequenceError where the encoding is not cdr, protobuf or json, or the definition is damaged.
     """
     fields: Callable[[bytes], Any]
     if encoding == "cdr":
@@ -84,7 +66,15 @@ def decoder(message_type: str, encoding: str, definition: bytes) -> Callable[[by
     elif encoding == "json":
         fields = _json_fields
     elif encoding == "protobuf":
-        fields = _protobuf_decoder(message_type, definition)
+        from mcap_protobuf.decoder import DecoderFactory  # few recordings need it, and every command would pay for it
+
+        try:
+            schema = Schema(id=1, data=definition, encoding="protobuf", name=message_type)
+            decode = DecoderFactory().decoder_for("protobuf", schema)
+        except Exception as error:  # a damaged definition raises undocumented exceptions
+            raise SequenceError(f"its definition is no FileDescriptorSet of {message_type}: {error}") from error
+        assert decode is not None
+        fields = decode
     else:
         raise SequenceError(f"encoding {encoding!r} is not known, expected cdr, protobuf or json")
     convert = foxglove.converter(message_type)
@@ -102,16 +92,3 @@ def _with_attributes(value: Any) -> Any:
     if isinstance(value, dict):
         return SimpleNamespace(**{name: _with_attributes(each) for name, each in value.items()})
     return [_with_attributes(each) for each in value] if isinstance(value, list) else value
-
-
-def _protobuf_decoder(message_type: str, definition: bytes) -> Callable[[bytes], Any]:
-    # Few recordings need it, and every command would pay for it.
-    from mcap_protobuf.decoder import DecoderFactory
-
-    schema = Schema(id=1, data=definition, encoding="protobuf", name=message_type)
-    try:
-        decode = DecoderFactory().decoder_for("protobuf", schema)
-    except Exception as error:  # what a damaged definition raises is not documented
-        raise SequenceError(f"its definition is no FileDescriptorSet of {message_type}: {error}") from error
-    assert decode is not None
-    return decode

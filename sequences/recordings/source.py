@@ -1,9 +1,10 @@
-"""What gives raw messages by topic: a recording, or what was heard of a running system so far."""
+"""Raw messages by topic, of a recording or of a running system, and the choice among topics."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from itertools import accumulate
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Literal, NamedTuple, Protocol, runtime_checkable
@@ -16,17 +17,14 @@ from sequences.recordings.messages import frame_name
 Stamps = Literal["header", "log"]
 TF_STATIC, TF = "/tf_static", "/tf"
 _TRANSFORMS = ("tf2_msgs/TFMessage", "tf/tfMessage")
+_LISTED = 120  # characters of names and types in an error
 
 
 @dataclass(frozen=True)
 class Topic:
-    """One topic of a bag.
+    """One topic, with the number of its messages in all files and their serialization; ROS 2 has "cdr".
 
-    Attributes:
-        name: Name of the topic.
-        type: Message type as the file names it, without `/msg`: `nav_msgs/Odometry`, `foxglove.PoseInFrame`.
-        num_messages: How many messages it has, all files of the bag together.
-        encoding: How messages are serialized; ROS 2 has "cdr".
+    The type is that of the file, without `/msg`: `nav_msgs/Odometry`, `foxglove.PoseInFrame`.
     """
 
     name: str
@@ -46,18 +44,18 @@ class Topic:
 
     @property
     def is_misnamed(self) -> bool:
-        """Whether it is called /tf or /tf_static and has no transforms."""
+        """Whether it is called /tf or /tf_static without having transforms."""
         is_transforms = self.type in _TRANSFORMS or foxglove.is_transforms(self.type)
         return self.name in (TF_STATIC, TF) and not is_transforms
 
     @property
     def is_ros_tf(self) -> bool:
-        """Whether it is /tf, or that of a robot among several."""
+        """Whether it is /tf of ROS, or that of a robot among several."""
         return self.type in _TRANSFORMS and self.name.endswith(TF)
 
     @property
     def is_foxglove_tf(self) -> bool:
-        """Whether it has transforms of Foxglove's, which may have any name, and stand for /tf and /tf_static."""
+        """Whether it has Foxglove's transforms, which may have any name, and stand for /tf and /tf_static."""
         return foxglove.is_transforms(self.type) and self.encoding in self.encodings
 
 
@@ -65,13 +63,9 @@ class RawMessage(NamedTuple):
     """One message, not yet decoded.
 
     Attributes:
-        topic: The topic that was asked for: of transforms /tf or /tf_static, whatever their topic is called.
-        log_time_ns: The time it was logged.
-        data: Its bytes.
-        type: Its type, as of `Topic`.
-        encoding: How it is serialized.
-        definition: What the file says of its type.
-        restamped: Whether its headers get the time it was logged, in place of their own stamps.
+        topic: The topic that was asked for; of transforms /tf or /tf_static.
+        definition: The file's definition of its type.
+        restamped: Whether its headers get the log time in place of their own stamps.
         problem: Why its bytes could not be unpacked; empty where they could.
     """
 
@@ -85,7 +79,7 @@ class RawMessage(NamedTuple):
     problem: str = ""
 
     def decode(self) -> SimpleNamespace:
-        """Its fields, named as in ROS 2. What it raises where it is damaged depends on the encoding."""
+        """Its fields, named as in ROS 2. A damaged one raises any exception, by its encoding."""
         if self.problem:
             raise SequenceError(self.problem)
         message = serializations.decoder(self.type, self.encoding, self.definition)(self.data)
@@ -99,25 +93,20 @@ class RawMessage(NamedTuple):
 
 @runtime_checkable
 class MessageSource(Protocol):
-    """Raw messages by topic: whoever reads them knows neither files nor networks."""
+    """Raw messages by topic, of files or a network."""
 
     @property
     def path(self) -> Path:
-        """What messages of errors call it."""
-        ...
-
-    @property
-    def is_running(self) -> bool:
-        """Whether it goes on: then what is damaged is left out, and is no error."""
+        """Its name in errors."""
         ...
 
     @property
     def topics(self) -> Mapping[str, Topic]:
-        """Topics by name; without those that are misnamed, which nobody could ask for."""
+        """Topics by name; without misnamed ones, see `Topic.is_misnamed`."""
         ...
 
     def fixed_links(self) -> frozenset[tuple[str, str]]:
-        """Of Foxglove's transforms, see `fixed_links_of`."""
+        """See `fixed_links_of`."""
         ...
 
     def __contains__(self, topic: str) -> bool:
@@ -127,28 +116,15 @@ class MessageSource(Protocol):
     def messages(
         self, topics: Collection[str], *, until: Callable[[int], bool] = lambda log_time_ns: False
     ) -> Iterator[RawMessage]:
-        """Messages of some topics, in the order in which they lie in a file or were heard.
-
-        Args:
-            topics: Names of topics.
-            until: Whether messages of a topic from a log time on are not wanted.
-        """
+        """Messages of some topics, in their order; those of a topic end where `until` is true of a log time."""
         ...
 
 
 def namespaced_tf(topics: Mapping[str, Topic], tf_topic: str | None, path: Path) -> dict[str, str]:
-    """Which topics are tf under another name, as of a robot among several: /robot1/tf, and /robot1/tf_static beside it.
+    """The topics that stand for tf, as of a robot among several: /robot1/tf, and /robot1/tf_static beside it.
 
-    Args:
-        topics: All there are.
-        tf_topic: The one to take; None: where there is no /tf, the only one of such a name.
-        path: What messages of errors call what has them.
-
-    Returns:
-        /tf and /tf_static by the names of the topics that stand for them; empty where these are there themselves.
-
-    Raises:
-        NotFoundError: the one to take is not there.
+    Without `tf_topic` it is the only one of such a name, where there is no /tf. Returns /tf and /tf_static by the names
+    of those topics, empty where they stand for themselves. Raises NotFoundError where `tf_topic` is missing.
     """
     named = sorted(name for name, topic in topics.items() if topic.is_ros_tf)
     if tf_topic == TF:
@@ -180,10 +156,7 @@ def link_of(stamped: SimpleNamespace) -> tuple[str, str]:
 
 
 def fixed_links_of(source: MessageSource) -> frozenset[tuple[str, str]]:
-    """Parent and child of those of Foxglove's transforms that say the same from the first message to the last.
-
-    Foxglove has no topic for what never changes; a transform that is told only once holds throughout.
-    """
+    """Parent and child of Foxglove's transforms that never change; one that comes only once holds throughout."""
     first: dict[tuple[str, str], SimpleNamespace] = {}
     moving: set[tuple[str, str]] = set()
     if not any(topic.is_foxglove_tf for topic in source.topics.values()):
@@ -191,10 +164,105 @@ def fixed_links_of(source: MessageSource) -> frozenset[tuple[str, str]]:
     for raw in source.messages([TF]):
         try:
             message = raw.decode()
-        except Exception:  # said where it is used
+        except Exception:  # reported where it is used
             continue
         for stamped in message.transforms:
             link = link_of(stamped)
             if first.setdefault(link, stamped.transform) != stamped.transform:
                 moving.add(link)
     return frozenset(first.keys() - moving)
+
+
+def choose(
+    bag: MessageSource,
+    role: str,
+    types: tuple[str, ...],
+    name: str | None,
+    *,
+    required: bool = False,
+    besides: str | None = None,
+) -> Topic | None:
+    """The topic named, or the only one of its types; None where the name is '', or there is none and none is required.
+
+    Args:
+        bag: The recording.
+        role: Its role, as in the name of its option.
+        types: ROS 2 types as which its messages may be read.
+        name: Its name; None to find it.
+        required: Whether none is an error.
+        besides: Name of a topic with another role, which is not found.
+
+    Raises:
+        SequenceError: one of another type or encoding, or several; NotFoundError: none.
+    """
+    others = f" or {len(types) - 2} others" if len(types) > 2 else ""
+    option, expected = f"--{role}-topic", " or ".join(types[:2]) + others
+    if name == "" and not required:
+        return None
+    if name:
+        if name not in bag.topics:
+            raise NotFoundError(f"{bag.path}: no topic {name} ({option}); {listing(bag.topics.values())}")
+        chosen = bag.topics[name]
+        if chosen.read_as not in types:
+            raise SequenceError(f"{bag.path}: {name} is {chosen.type}, expected {expected} for {option}")
+    else:
+        known = [topic for topic in bag.topics.values() if topic.name != besides]
+        candidates = [topic for topic in known if topic.read_as in types and topic.num_messages]
+        if not candidates and not required:
+            return None
+        if not candidates:
+            robots = [topic.name for topic in bag.topics.values() if topic.is_ros_tf]
+            of_one = f"; tf is of {len(robots)} robots, name one by --tf-topic" if len(robots) > 1 else ""
+            raise NotFoundError(
+                f"{bag.path}: no {role} topic, expected one of type {expected}{of_one}; {listing(bag.topics.values())}"
+            )
+        if len(candidates) > 1:
+            none = "" if required else ", or '' for none"
+            raise SequenceError(
+                f"{bag.path}: {len(candidates)} {role} topics, expected one; name it by {option}{none};"
+                f" {listing(candidates)}"
+            )
+        chosen = candidates[0]
+    if chosen.encoding not in chosen.encodings:
+        raise SequenceError(
+            f"{bag.path}: {chosen.name} ({chosen.type}) is encoded as {chosen.encoding!r}, expected"
+            f" {' or '.join(map(repr, chosen.encodings))}"
+        )
+    return chosen
+
+
+def listing(topics: Iterable[Topic]) -> str:
+    """Topics with their types, for errors: as many as fit, and the number of others."""
+    found = [f"{topic.name} ({topic.type})" for topic in topics]
+    fitting = [text for text, end in zip(found, accumulate(map(len, found)), strict=True) if end <= _LISTED]
+    more = f" and {len(found) - len(fitting)} more" if len(fitting) < len(found) else ""
+    return f"found {', '.join(fitting)}{more}" if found else "found no topics"
+
+
+def decode(bag: MessageSource, raw: RawMessage, *, tolerate: bool = False) -> SimpleNamespace | None:
+    """Fields of a message. Undecodable bytes raise SequenceError or, if tolerated, give None.
+
+    Foxglove's transforms are on /tf_static where they never change, else on /tf.
+    """
+    try:
+        message = raw.decode()
+    except Exception as error:  # the libraries let struct, index and unicode errors through
+        if tolerate:
+            return None
+        reason = str(error) if isinstance(error, SequenceError) else f"{type(error).__name__}: {error}"
+        raise SequenceError(
+            f"{bag.path}: {raw.topic}: message logged at {raw.log_time_ns} ns has {len(raw.data)} bytes that are no"
+            f" {raw.type}: {reason}"
+        ) from error
+    if foxglove.is_transforms(raw.type):
+        static = raw.topic == TF_STATIC
+        message.transforms = [t for t in message.transforms if (link_of(t) in bag.fixed_links()) == static]
+    return message
+
+
+def first(bag: MessageSource, topic: Topic) -> SimpleNamespace:
+    """The first readable message of a topic. Raises NotFoundError where there is none."""
+    for raw in bag.messages([topic.name]):
+        if (message := decode(bag, raw, tolerate=True)) is not None:
+            return message
+    raise NotFoundError(f"{bag.path}: no readable message on {topic.name} ({topic.type}), expected at least one")

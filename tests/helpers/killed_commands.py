@@ -25,7 +25,7 @@ LOADED = [
     *(
         "tests.helpers.killed_commands",
         "vapor.track",
-        "vapor.commands.signals",
+        "vapor.commands.terminal",
         "vapor.reporting.run_outputs",
         "torch._dynamo",
     ),

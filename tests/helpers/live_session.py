@@ -152,7 +152,7 @@ def hurry(patch: pytest.MonkeyPatch) -> None:
 
     patch.setattr(reader, "_SETTLED_S", 0.03)
     patch.setattr(reader, "_ASK_AGAIN_S", 0.01)
-    patch.setattr(reader, "_SAY_AGAIN_S", 0.1)
+    patch.setattr(reader, "_REPORT_AGAIN_S", 0.1)
     patch.setattr(session, "_TICK_S", 0.05)
     patch.setattr(health, "_SILENT_S", 0.2)
     patch.setattr(health, "_ODOMETRY_SILENT_S", 0.1)

@@ -7,8 +7,7 @@ from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from sequences.frame import Camera, Frame
-from vapor.reporting.record import RunRecord
-from vapor.reporting.recorder import RunRecorder
+from vapor.reporting.record import RunRecord, RunRecorder
 from vapor.tracking.loop import Step
 
 FLOOR_M = 3.0

@@ -82,7 +82,7 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def show_calibration(result: CalibrationResult) -> None:
-    """Print what each fit changed, what it gains, and how many true poses lie in the regions of single images."""
+    """Print changes and gain of each fit, and the fraction of true poses in the regions of single images."""
     if result.changes:
         images = f"{result.images} held-out images, worth {result.effective_images:.0f} independent ones"
         table = Table(title=f"calibration on {images}", title_justify="left")

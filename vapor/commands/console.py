@@ -1,4 +1,4 @@
-"""What the commands share: reading options, and how results are shown."""
+"""Options of the commands, and their output."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ def _output(words: list[str]) -> Path:
 
 
 def path_or_url_to_write(words: list[str]) -> Path:
-    """The path that a word stands for, or of a URL that of its copy; ValueError for an empty one."""
+    """A path, or the path of a URL's copy; ValueError for an empty one."""
     if not words[0].strip():
         raise ValueError("is empty, expected a path")
     return _path_or_url(words)
 
 
 def path_given_by(instance_from_str: Callable[[list[str]], Path]) -> Any:
-    """How an option reads its path."""
+    """Constructor of an option that is a path."""
     return tyro.constructors.PrimitiveConstructorSpec(
         nargs=1,
         metavar="PATH",
@@ -57,7 +57,7 @@ def path_given_by(instance_from_str: Callable[[list[str]], Path]) -> Any:
 
 
 InputPath = Annotated[Path, path_given_by(_path_or_url)]
-"""A path to read from, or a URL, of which it is the path of the copy (see `vapor.storage`)."""
+"""A path to read from, or the path of a URL's copy (see `vapor.storage`)."""
 OutputPath = Annotated[Path, path_given_by(_output)]
 """A path to write to, which is not empty."""
 
@@ -66,36 +66,28 @@ Overwrite = Annotated[
     tyro.conf.FlagCreatePairsOff,
     tyro.conf.arg(help="Write there even if something else is there, and replace what has the names of the results."),
 ]
-"""Whether to replace what is not known to be results of an earlier call."""
+"""Whether to replace files that are not known to be results of an earlier call."""
 
 
 def command_line(command: str, arguments: Sequence[str], program: str = "vapor-track") -> str:
-    """A command as one would type it, for the page that says what it found."""
+    """A command as one would type it, for its page."""
     return shlex.join([program, command, *arguments])
 
 
-def parse(
-    command: str,
-    options: type[Options],
-    arguments: Sequence[str],
-    default: Options | None = None,
-    program: str = "vapor-track",
-) -> Options:
-    """Options from the words of the command line; wrong ones print what is wrong and exit with status 2."""
-    given: dict[str, Any] = {} if default is None else {"default": default}
-    told, helped, columns = io.StringIO(), _Help(), os.environ.get("COLUMNS")
+def parse(command: str, options: type[Options], arguments: Sequence[str], program: str = "vapor-track") -> Options:
+    """Options from the words of the command line; wrong ones print a line and exit with status 2."""
+    errors, helped, columns = io.StringIO(), _Help(), os.environ.get("COLUMNS")
     try:
-        if not {"-h", "--help"} & set(arguments):
-            os.environ["COLUMNS"] = "1000000"  # of messages in a box, so that no word is broken
-        else:
-            os.environ["COLUMNS"] = str(width())  # of the terminal, which is not seen behind `helped`
-        with redirect_stderr(told), redirect_stdout(helped):
-            return tyro.cli(options, prog=f"{program} {command}", args=arguments, **given)
+        is_help = {"-h", "--help"} & set(arguments)
+        # Help is as wide as the terminal, which is not seen behind `helped`; in messages no word is broken.
+        os.environ["COLUMNS"] = str(width()) if is_help else "1000000"
+        with redirect_stderr(errors), redirect_stdout(helped):
+            return tyro.cli(options, prog=f"{program} {command}", args=arguments)
     except VaporTrackError as error:  # a value that its dataclass refuses
         usage_error(command, str(error), program)
     except SystemExit:
-        if told.getvalue():
-            usage_error(command, _unboxed(told.getvalue()), program)
+        if errors.getvalue():
+            usage_error(command, _unboxed(errors.getvalue()), program)
         show(Text.from_ansi(helped.getvalue()))
         raise
     finally:
@@ -113,7 +105,6 @@ class _Help(io.StringIO):
 
     @property
     def encoding(self) -> str | None:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """With which boxes are drawn by their own characters, or by others."""
         return getattr(self._stdout, "encoding", None)
 
     def isatty(self) -> bool:
@@ -121,7 +112,7 @@ class _Help(io.StringIO):
 
 
 def _unboxed(text: str) -> str:
-    """What is said in a box of tyro's, without help on options that are there."""
+    """The message in a box of tyro's, without help on options that were given."""
     parts: list[list[str]] = [[]]
     for line in text.splitlines()[1:-1]:
         line = line.strip(" │|")
@@ -155,39 +146,29 @@ def show(content: str | Text | Table) -> None:
 
 
 def show_notices(notices: Sequence[str]) -> None:
-    """Say what a person should know of the data, a line each."""
+    """Print warnings and hints, a line of at most `MAX_MESSAGE` characters each: names in files have any length."""
     for notice in notices:
-        _show_line(f"  {notice}")
+        show(shortened(" ".join(f"  {notice}".splitlines())))
 
 
 def show_skipped(skipped: Mapping[str, int]) -> None:
-    """Say what was left out, if anything was."""
+    """Print counts of skipped images and messages, a line for each reason."""
     show_notices(skipped_lines(skipped))
 
 
 def skipped_lines(skipped: Mapping[str, int]) -> list[str]:
-    """What was left out, a line for each reason."""
+    """Counts of skipped images and messages, a line for each reason."""
     return [f"skipped {count}: {reason}" for reason, count in skipped.items()]
 
 
-def _show_line(text: str) -> None:
-    """One line of at most `MAX_MESSAGE` characters, as names of topics and frames in a file may be of any length."""
-    show(shortened(" ".join(text.splitlines())))
-
-
-def show_images(images: Mapping[str, Any]) -> None:
-    """Say what became of the images that a sequence states."""
-    show(f"images     {images_said(images)}")
-
-
-def images_said(images: Mapping[str, Any]) -> str:
-    """What became of the images that a sequence states."""
+def count_images(images: Mapping[str, Any]) -> str:
+    """Counts of the images of a sequence, in words."""
     skipped = sum(images["skipped"].values())
     return f"{images['stated']} stated, {images['read']} read, {images['used']} used, {skipped} skipped"
 
 
 def show_files(directory: Path, *, recording: bool) -> None:
-    """Say where the results of a run lie."""
+    """Print the paths of the results of a run."""
     show(f"report     {directory / 'report.html'}")
     if recording:
         show(f"recording  rerun {directory / 'recording.rrd'}")

@@ -17,7 +17,7 @@ from sequences.synthesize import synthesize, write_synthetic
 from vapor.checkpoints.shipped_models import SHIPPED
 from vapor.commands.console import OutputPath, Overwrite, command_line, parse, show, show_files, usage_error
 from vapor.commands.progress import progress
-from vapor.commands.signals import results_are_complete
+from vapor.commands.terminal import results_are_complete
 from vapor.pipeline.config import RunConfig
 from vapor.pipeline.model import load_model
 from vapor.pipeline.results import RESULTS

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated
 
 import tyro
@@ -19,7 +18,7 @@ from vapor.engines.onnx_file import is_exported
 
 @dataclass(frozen=True)
 class Options:
-    """Write a trained model as an ONNX file, checked against torch; docs/export.md says what goes in and comes out."""
+    """Write a trained model as an ONNX file, checked against torch; docs/export.md lists its inputs and outputs."""
 
     model: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="MODEL")]
     """Model file, or name of a model that ships with the package."""
@@ -36,8 +35,5 @@ def main(arguments: Sequence[str]) -> None:
     file = find_model(o.model)
     refuse_other(o.output, "model that vapor-track exported", is_exported, reads=[file], overwrite=o.overwrite)
     runtime, metres, radians = export_onnx(load_checkpoint(file), o.output)
-    show(f"{o.output}: {_megabytes(o.output)} MB; by {runtime} within {metres:.1g} m and {radians:.1g} rad of torch")
-
-
-def _megabytes(path: Path) -> str:
-    return f"{path.stat().st_size / 1e6:.1f}"
+    size_mb = o.output.stat().st_size / 1e6
+    show(f"{o.output}: {size_mb:.1f} MB; by {runtime} within {metres:.1g} m and {radians:.1g} rad of torch")

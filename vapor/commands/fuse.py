@@ -14,8 +14,7 @@ from vapor.commands.console import OutputPath, Overwrite, command_line, parse, u
 from vapor.commands.progress import progress
 from vapor.commands.run import show_run
 from vapor.pipeline.config import FilteringConfig
-from vapor.pipeline.estimate_model import EstimateConfig
-from vapor.pipeline.fuse import fuse
+from vapor.pipeline.fuse import EstimateConfig, fuse
 
 
 @dataclass(frozen=True)

@@ -14,17 +14,11 @@ import tyro
 
 from filtering.errors import VaporTrackError, shortened
 from sequences.datasets.scene_points import scene_points
+from sequences.frame import Frame
 from sequences.options import SequenceOptions
 from sequences.outputs.results import results_folder
 from vapor.checkpoints.shipped_models import find_model
-from vapor.commands.console import (
-    OutputPath,
-    Overwrite,
-    command_line,
-    parse,
-    show,
-    usage_error,
-)
+from vapor.commands.console import OutputPath, Overwrite, command_line, parse, show, usage_error
 from vapor.commands.inspect_tables import parts, show_inspection
 from vapor.commands.progress import progress
 from vapor.commands.terminal import write
@@ -34,30 +28,31 @@ from vapor.inspection.inspect import Inspection, inspect
 from vapor.inspection.picture import draw_map
 from vapor.inspection.recording import record_coverage
 from vapor.observation import VaporObservationModel
-from vapor.reporting.html.findings_page import findings_page
-from vapor.reporting.html.page import Page, write_page
+from vapor.reporting.html.page import Page, findings_page, write_page
+from vapor.reporting.record import EvenlySpaced
 from vapor.reporting.report import write_report
-from vapor.reporting.rerun_photographs import Photographs
+from vapor.reporting.rerun_shapes import SMALL_SIDE, Photograph
 from vapor.training_data.entries import files_read, name_entries
 
 _MAP, _RECORDING, _REPORT, _PAGE = "map.png", "recording.rrd", "report.json", "report.html"
+_MOST_PHOTOGRAPHS = 150  # Rerun keeps each apart, and of more in one place all are selected
 _FILES = (_MAP, _RECORDING, _REPORT, _PAGE)
 
 
 @dataclass(frozen=True)
 class Options:
-    """Say of recordings whether they are good enough to train on, and what to record again."""
+    """Judge whether recordings are good enough to train on, and what to record again."""
 
     data: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="DATA ...")]
     """MCAP files, rosbag2 folders, data set folders or files that list a split; PATH@START:STOP takes only those images
     of it."""
     model: str | None = None
-    """Model file, or name of a model that ships with the package: say, too, where it is unsure or wrong."""
+    """Model file, or name of a model that ships with the package: report, too, where it is unsure or wrong."""
     output: OutputPath | None = None
     """Folder for report.html, report.json and, where there are true poses, map.png and recording.rrd; new or with
     earlier ones."""
     recording: bool = True
-    """Write recording.rrd for the Rerun viewer: where the cameras were, and what the model says of them."""
+    """Write recording.rrd for the Rerun viewer: where the cameras were, and where the model puts them."""
     overwrite: Overwrite = False
     json: bool = False
     """Print the report as JSON instead."""
@@ -90,10 +85,14 @@ def main(arguments: Sequence[str]) -> None:
                 engine=o.network.engine,
                 precision=o.network.precision,
             )
-        photographs = Photographs()
-        see = photographs.take if o.recording and directory is not None else lambda frame: None
-        with progress() as told:
-            found = inspect(o.data, o.reading, model=model, seed=o.seed, see=see, progress=told.at)
+        photographs: EvenlySpaced[Photograph] = EvenlySpaced(_MOST_PHOTOGRAPHS)
+
+        def see(frame: Frame) -> None:
+            if o.recording and directory is not None and frame.world_from_camera is not None:
+                photographs.add(lambda: Photograph.of(frame, SMALL_SIDE))
+
+        with progress() as shown:
+            found = inspect(o.data, o.reading, model=model, seed=o.seed, see=see, progress=shown.at)
         if directory is not None:
             if found.coverage is not None:
                 draw_map(directory / _MAP, found.coverage, found.predictions)
@@ -102,7 +101,7 @@ def main(arguments: Sequence[str]) -> None:
                     record_coverage(
                         directory / _RECORDING,
                         found.coverage,
-                        photographs,
+                        photographs.kept,
                         found.predictions,
                         points=[each for each in points if each is not None],
                     )
@@ -127,11 +126,9 @@ def _page(found: Inspection, o: Options, picture: Path, command: str) -> Page:
     first, *others = found.verdict
     rest = [("What else to do", [f"{number}. {sentence}" for number, sentence in enumerate(others, 2)])]
     title = ", ".join(Path(entry).name for entry in o.data)
-    return findings_page(shortened(title, 100), asked, _sentence(first), [*rest, *seen, *tables], command=command)
-
-
-def _sentence(text: str) -> str:
-    return f"{text[0].upper()}{text[1:]}."
+    return findings_page(
+        shortened(title, 100), asked, f"{first[0].upper()}{first[1:]}.", [*rest, *seen, *tables], command=command
+    )
 
 
 def _outputs(o: Options) -> AbstractContextManager[Path | None]:

@@ -1,4 +1,4 @@
-"""What `vapor-track inspect` prints of recordings: a table, and lines of what they show, of odometry and of a model."""
+"""Tables and lines that `vapor-track inspect` prints."""
 
 from __future__ import annotations
 
@@ -10,14 +10,12 @@ import numpy as np
 from rich.table import Table
 
 from sequences.reading.counts import ImageCounts
-from vapor.commands.console import images_said, show, show_notices, skipped_lines
+from vapor.commands.console import count_images, show, show_notices, skipped_lines
 from vapor.inspection.camera import CameraCheck
 from vapor.inspection.clocks import ImageClock
-from vapor.inspection.coverage import Coverage
+from vapor.inspection.coverage import Coverage, height
 from vapor.inspection.inspect import Inspection
-from vapor.inspection.odometry import OdometryCheck
 from vapor.inspection.predictions import Predictions
-from vapor.inspection.regions import height
 from vapor.inspection.walk import Walk
 
 _NAMED = 8  # of a kind, at most
@@ -25,7 +23,7 @@ _NAMED = 8  # of a kind, at most
 
 @dataclass(frozen=True)
 class Part:
-    """Part of what was found: a heading, perhaps a table, and lines."""
+    """A heading, a table if any, and lines."""
 
     title: str
     lines: Sequence[str]
@@ -33,7 +31,7 @@ class Part:
 
 
 def show_inspection(found: Inspection) -> None:
-    """Print all that was found, the verdict last."""
+    """Print all findings, the verdict last."""
     for part in parts(found):
         if part.table is None:
             show(f"\n{part.title}")
@@ -43,7 +41,7 @@ def show_inspection(found: Inspection) -> None:
 
 
 def parts(found: Inspection) -> Iterator[Part]:
-    """All that was found, the verdict last."""
+    """All findings, the verdict last."""
     yield _walks(found.walks)
     if found.coverage is not None:
         yield Part("What they show", [*_coverage_lines(found, found.coverage)])
@@ -54,6 +52,10 @@ def parts(found: Inspection) -> Iterator[Part]:
     if found.predictions is not None:
         yield Part("The model", [*_model_lines(found.predictions, found.coverage)])
     yield Part("Verdict", [f"{number}. {sentence}" for number, sentence in enumerate(found.verdict, 1)])
+
+
+def _first(items: Sequence[str]) -> str:
+    return ", ".join(items[:_NAMED]) + (", ..." if len(items) > _NAMED else "")
 
 
 def _walks(walks: Sequence[Walk]) -> Part:
@@ -82,7 +84,7 @@ def _walks(walks: Sequence[Walk]) -> Part:
     lines += dict.fromkeys(notice for walk in walks for notice in walk.notices)
     counts = [walk.counts for walk in walks if walk.counts is not None]
     if counts:
-        lines.append(f"images     {images_said(sum(counts, ImageCounts(0)).as_json())}")
+        lines.append(f"images     {count_images(sum(counts, ImageCounts(0)).as_json())}")
     sources = {id(walk.skipped): walk.skipped for walk in walks}
     lines += skipped_lines(sum((Counter(skipped) for skipped in sources.values()), Counter()))
     return Part(title, lines, table)
@@ -93,18 +95,12 @@ def _walk_lines(walk: Walk) -> Iterator[str]:
         yield f"has no stamps: {walk.assumed_hz} Hz assumed, gaps cannot be seen"
     if "true poses" in walk.lacks:
         yield f"no true poses: {walk.lacks['true poses']}"
-    gaps = walk.gaps
-    if gaps:
-        first = ", ".join(f"{long_s:.2f} s at {at_s:.1f} s" for at_s, long_s in gaps[:_NAMED])
-        yield f"{len(gaps)} gaps between images: {first}{', ...' if len(gaps) > _NAMED else ''}"
-    frozen = walk.frozen
-    if frozen:
-        first = ", ".join(f"{begin} to {end}" for begin, end in frozen[:_NAMED])
-        yield f"one and the same image: {first}{', ...' if len(frozen) > _NAMED else ''}"
-    jumps = walk.as_json()["brightness_jumps"]
-    if jumps:
-        first = ", ".join(map(str, jumps[:_NAMED]))
-        yield f"suddenly brighter or darker at images {first}{', ...' if len(jumps) > _NAMED else ''}"
+    if gaps := [f"{long_s:.2f} s at {at_s:.1f} s" for at_s, long_s in walk.gaps]:
+        yield f"{len(gaps)} gaps between images: {_first(gaps)}"
+    if frozen := [f"{begin} to {end}" for begin, end in walk.frozen]:
+        yield f"one and the same image: {_first(frozen)}"
+    if jumps := [str(index) for index in walk.as_json()["brightness_jumps"]]:
+        yield f"suddenly brighter or darker at images {_first(jumps)}"
 
 
 def _coverage_lines(found: Inspection, coverage: Coverage) -> Iterator[str]:
@@ -144,43 +140,12 @@ def _odometry_lines(found: Inspection) -> Iterator[str]:
             reasons = {"there are no true poses to compare it with": None}
         yield "nothing can be said: " + ("; ".join(reasons) or "no two images in a row have both it and true poses")
         return
-    yield from _check_lines(check)
-
-
-def _view_lines(walks: Sequence[Walk]) -> Iterator[str]:
-    for walk in walks[:_NAMED]:
-        if not walk.views and (len(walk.poses) or any(step is not None for step in walk.odometry)):
-            yield f"{walk.name}: too few pairs of images between which the camera turns or moves: {len(walk.pairs)}"
-        for check in walk.views:
-            agree = f"agree to {np.degrees(check.residual):.1f}°" if check.is_right else "do not agree as stated"
-            yield f"{walk.name}: what images show and {check.by} {agree}, in {check.pairs} pairs of images"
-
-
-def _clock_lines(clocks: Sequence[ImageClock]) -> Iterator[str]:
-    known = [clock for clock in clocks if clock.late_ms is not None]
-    if known:
-        late = ", ".join(f"{clock.late_ms:+.0f} ms ({clock.name}, {clock.against})" for clock in known[:_NAMED])
-        yield f"clock of the images, late by: {late}{', ...' if len(known) > _NAMED else ''}"
-
-
-def _camera_lines(check: CameraCheck) -> Iterator[str]:
-    yield check.said
-    if (camera := check.found) is not None and check.fit is not None:
-        yield (
-            f"what fits at {camera.width} x {camera.height} pixels: fx {camera.fx:.1f}, fy {camera.fy:.1f}, cx"
-            f" {camera.cx:.1f}, cy {camera.cy:.1f}, k1 {check.fit.found.k1:.3f}, k2 {check.fit.found.k2:.3f}, found in"
-            f" {check.images} images"
-            f"{'' if check.of_all else '; those of other cameras were not looked at'}"
-        )
-
-
-def _check_lines(check: OdometryCheck) -> Iterator[str]:
     axes = check.axes
     if axes is None:
         yield "axes: too short to compare"
     elif axes.swapped:
         yield (
-            f"axes: {axes.said()}: extrinsics? (correlation of motions {axes.correlation:.2f}, so turned"
+            f"axes: {axes.in_words()}: extrinsics? (correlation of motions {axes.correlation:.2f}, so turned"
             f" {axes.correlation_turned:.2f}; the figures below are with axes so turned)"
         )
     elif axes.mirrored:
@@ -193,11 +158,36 @@ def _check_lines(check: OdometryCheck) -> Iterator[str]:
         yield f"axes: motions are alike (correlation {axes.correlation:.2f}){off}"
     if check.late_ms:
         late = [f"{abs(ms):.0f} ms {'late' if ms > 0 else 'early'} ({name})" for name, ms in check.late_ms.items()]
-        yield f"clock, against the true poses: {', '.join(late[:_NAMED])}{', ...' if len(late) > _NAMED else ''}"
+        yield f"clock, against the true poses: {_first(late)}"
     for reason in dict.fromkeys(check.unknown_late.values()):
         names = [name for name, own in check.unknown_late.items() if own == reason]
-        yield f"clock of {', '.join(names[:_NAMED])}{', ...' if len(names) > _NAMED else ''} unknown: {reason}"
+        yield f"clock of {_first(names)} unknown: {reason}"
     yield from [f"errors unknown: {check.no_fit}"] if check.fit is None else str(check.fit).splitlines()
+
+
+def _view_lines(walks: Sequence[Walk]) -> Iterator[str]:
+    for walk in walks[:_NAMED]:
+        if not walk.views and (len(walk.poses) or any(step is not None for step in walk.odometry)):
+            yield f"{walk.name}: too few pairs of images between which the camera turns or moves: {len(walk.pairs)}"
+        for check in walk.views:
+            agree = f"agree to {np.degrees(check.residual):.1f}°" if check.is_right else "do not agree as stated"
+            yield f"{walk.name}: what images show and {check.by} {agree}, in {check.pairs} pairs of images"
+
+
+def _clock_lines(clocks: Sequence[ImageClock]) -> Iterator[str]:
+    if late := [f"{c.late_ms:+.0f} ms ({c.name}, {c.against})" for c in clocks if c.late_ms is not None]:
+        yield f"clock of the images, late by: {_first(late)}"
+
+
+def _camera_lines(check: CameraCheck) -> Iterator[str]:
+    yield check.said
+    if (camera := check.found) is not None and check.fit is not None:
+        yield (
+            f"what fits at {camera.width} x {camera.height} pixels: fx {camera.fx:.1f}, fy {camera.fy:.1f}, cx"
+            f" {camera.cx:.1f}, cy {camera.cy:.1f}, k1 {check.fit.found.k1:.3f}, k2 {check.fit.found.k2:.3f}, found in"
+            f" {check.images} images"
+            f"{'' if check.of_all else '; those of other cameras were not looked at'}"
+        )
 
 
 def _model_lines(predictions: Predictions, coverage: Coverage | None) -> Iterator[str]:

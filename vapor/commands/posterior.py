@@ -24,8 +24,7 @@ from vapor.evaluation.posterior import posterior_metrics
 from vapor.evaluation.trajectory import THRESHOLDS
 from vapor.observation import VaporObservationModel
 from vapor.reporting.drawing import is_picture
-from vapor.reporting.posterior_pictures import draw_posterior
-from vapor.reporting.posterior_recording import record_posterior
+from vapor.reporting.posterior_pictures import draw_posterior, record_posterior
 from vapor.reporting.rerun_place import Place
 from vapor.reporting.rerun_recording import is_recording
 

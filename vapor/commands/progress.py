@@ -1,4 +1,4 @@
-"""How far a command is and how long it will still take: a bar at a terminal, a line now and then in a log."""
+"""Progress and the time left: a bar at a terminal, a line now and then in a log."""
 
 from __future__ import annotations
 
@@ -23,18 +23,13 @@ _AGAIN = 0.25  # of the time to the first point
 
 
 class Pace:
-    """How long the rest takes, by the later half of the time so far, as what was done already is found at once.
+    """Estimates the time left by the later half of the time so far, as results of an earlier call are found at once.
 
-    The time to the first, in which much is loaded, does not count; nothing is said until a quarter of it has passed
-    again, as workers have their first at about the same time.
+    The time to the first item, in which much is loaded, does not count; there is no estimate until a quarter of it has
+    passed again, as workers finish their first items at about the same time.
     """
 
     def __init__(self, clock: Callable[[], float] = monotonic) -> None:
-        """Begin.
-
-        Args:
-            clock: Gives seconds.
-        """
         self._clock, self.begin_s = clock, clock()
         self._points: deque[tuple[float, int]] = deque()  # time and number done, from half of the time on and one more
 
@@ -50,7 +45,7 @@ class Pace:
             points.popleft()
 
     def left_s(self, total: int) -> float | None:
-        """Seconds until all are done; None where nothing is known yet."""
+        """Seconds until all are done; None where unknown."""
         if not self._points:
             return None
         (from_s, before), (reached_s, done) = self._points[0], self._points[-1]
@@ -66,73 +61,58 @@ class Pace:
 
 
 class Progress:
-    """Progress of one thing after the other; call it with the number done and of all."""
+    """Progress of stages, one after the other; call it with the number done and of all."""
 
     def __init__(self, name: str, unit: str, console: Console, clock: Callable[[], float] = monotonic) -> None:
-        """Begin; nothing is shown before the first call.
-
-        Args:
-            name: What is done.
-            unit: What is counted, as a plural.
-            console: Standard error.
-            clock: Gives seconds.
-        """
+        """Begin a task that counts units (a plural), on the console of standard error; the clock gives seconds."""
         self._name, self._unit, self._console, self._clock = name, unit, console, clock
         self.at_terminal = console.is_interactive and console.file.isatty()
         self._stage, self._figures, self._done, self._total = name, "", 0, None
-        self._pace, self._told_s = Pace(clock), clock()
+        self._pace, self._logged_s = Pace(clock), clock()
 
     def __call__(self, done: int, total: int | None) -> None:
         """So many of all are done."""
         self._reach(done, None if total is None else max(done, total))
 
     def at(self, stage: str, done: int, total: int | None, *, unit: str | None = None, figures: str = "") -> None:
-        """So much of a stage is done.
-
-        Args:
-            stage: What is done now.
-            done: How much of it.
-            total: Of how much; None where that is not known.
-            unit: What is counted.
-            figures: What else there is to tell.
-        """
+        """So many units of a stage are done, of a total that may be unknown; further figures stand behind."""
         stage = f"{self._name}, {stage}" if self._name else stage
         if stage != self._stage:
             self.end()
             self._stage, self._done, self._pace = stage, 0, Pace(self._clock)
-            self._tell(stage)
+            self._log(stage)
         self._unit, self._figures = self._unit if unit is None else unit, figures
         self._reach(done, total)
 
     def note(self, text: str) -> None:
-        """Tell something beside it."""
+        """Print a line beside it."""
         if self.at_terminal:
             self._console.print(text)
         else:
-            self._tell(text)
+            self._log(text)
 
     def end(self) -> None:
         """The stage is done."""
         if self._done:
-            self._tell(self.said(ended=True))
+            self._log(self.line(ended=True))
 
-    def said(self, *, ended: bool = False) -> str:
-        """How far it is, in a line."""
+    def line(self, *, ended: bool = False) -> str:
+        """The progress in a line."""
         if not self._done:
             return self._stage
         known = self._total is not None and not ended
-        told = [f"{self._stage}: {self._done}{f' of {self._total}' if known else ''} {self._unit}".rstrip()]
+        parts = [f"{self._stage}: {self._done}{f' of {self._total}' if known else ''} {self._unit}".rstrip()]
         if ended:
-            told[0] += f" in {duration(self._pace.seconds)}"
+            parts[0] += f" in {duration(self._pace.seconds)}"
         elif self._total:
-            told.append(f"{100 * self._done // self._total} %")
+            parts.append(f"{100 * self._done // self._total} %")
             left_s = self._pace.left_s(self._total)
-            told += [] if left_s is None else [f"about {duration(left_s)} left"]
-        return ", ".join([*told, *([self._figures] if self._figures else [])])
+            parts += [] if left_s is None else [f"about {duration(left_s)} left"]
+        return ", ".join([*parts, *([self._figures] if self._figures else [])])
 
     def __rich__(self) -> Text | Table:
-        """What a terminal shows, once more at every refresh."""
-        text = Text(self.said())
+        """The bar and the line of a terminal."""
+        text = Text(self.line())
         if self._console.width < _BAR_FROM:
             return text
         shown = Table.grid(padding=(0, 1))
@@ -143,26 +123,21 @@ class Progress:
     def _reach(self, done: int, total: int | None) -> None:
         self._done, self._total = done, total
         self._pace.reach(done)
-        if self._clock() - self._told_s >= LOG_EVERY_S:
-            self._tell(self.said())
+        if self._clock() - self._logged_s >= LOG_EVERY_S:
+            self._log(self.line())
 
-    def _tell(self, line: str) -> None:
-        """A line of a log."""
+    def _log(self, text: str) -> None:
         if not self.at_terminal:
-            self._told_s = self._clock()
-            say(line)
+            self._logged_s = self._clock()
+            say(text)
 
 
 @contextmanager
 def progress(name: str = "", unit: str = "images") -> Iterator[Progress]:
-    """Show on standard error how far something is, as long as the context lasts.
+    """Show the progress of a task, which may be named by its stages only, in units (a plural) on standard error.
 
-    At a terminal a line that changes, gone after an error: what standard error then says is one line. Else, as in a
-    log file, a line every ten seconds and at the end.
-
-    Args:
-        name: What is done; may be empty where all is told by stages.
-        unit: What is counted, as a plural.
+    At a terminal it is a line that changes, and goes after an error. In a log file it is a line every ten seconds and
+    at the end.
     """
     console = Console(stderr=True, highlight=False, markup=False, color_system=color_system())
     shown = Progress(name, unit, console)
@@ -173,14 +148,14 @@ def progress(name: str = "", unit: str = "images") -> Iterator[Progress]:
     with Live(shown, console=console, refresh_per_second=8) as live:
         try:
             yield shown
-            live.update(Text(shown.said(ended=True)))
+            live.update(Text(shown.line(ended=True)))
         except BaseException:
             live.transient = True
             raise
 
 
 def duration(seconds: float) -> str:
-    """A time as people say it."""
+    """A time in seconds, minutes or hours."""
     if seconds < 99.5:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 99.5 * 60 else f"{seconds / 3600:.1f} h"

@@ -31,7 +31,7 @@ def main(arguments: Sequence[str]) -> None:
     transport = join(options.system)
     done = Replayed(0, 0)
     try:
-        for so_far in replay(fetched(options.sequence), transport, options.pace, tell=show):
+        for so_far in replay(fetched(options.sequence), transport, options.pace, notify=show):
             done = so_far
     finally:
         transport.close()

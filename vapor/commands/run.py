@@ -16,20 +16,19 @@ from vapor.commands.console import (
     OutputPath,
     Overwrite,
     command_line,
+    count_images,
     parse,
     show,
     show_files,
-    show_images,
     show_notices,
     show_skipped,
     usage_error,
 )
 from vapor.commands.progress import progress
-from vapor.commands.signals import results_are_complete
+from vapor.commands.terminal import results_are_complete
 from vapor.commands.workers import Scheduler, workers_for
 from vapor.pipeline.config import RunConfig
-from vapor.pipeline.find_sequences import SUMMARY, find_sequences, is_fleet
-from vapor.pipeline.fleet import Outcome, format_fleet, run_fleet, total
+from vapor.pipeline.fleet import SUMMARY, Outcome, find_sequences, format_fleet, is_fleet, run_fleet, total
 from vapor.pipeline.results import RunResult
 from vapor.pipeline.run import run
 from vapor.reporting.report import format_table
@@ -91,15 +90,7 @@ def _run_one(options: Options, command: str) -> None:
 
 
 def show_run(result: RunResult, output: Path, *, title: str, recording: bool, tail: bool = False) -> None:
-    """Print what came of one run: figures, status, what became of the images, where results lie, few images last.
-
-    Args:
-        result: The run.
-        output: Directory of its results.
-        title: Title of the table of figures.
-        recording: Whether there is a recording among them.
-        tail: Whether the figures are about the tail of the errors, see `format_table`.
-    """
+    """Print figures, status, counts of images, and the paths of the results of a run; few images come last."""
     results_are_complete()
     report = result.report
     if report["frames_with_true_pose"]:
@@ -108,7 +99,7 @@ def show_run(result: RunResult, output: Path, *, title: str, recording: bool, ta
     show(f"{report['frames']} images: {status}")
     if "verified" in report:
         show(f"landmarks  verify a place in {100 * report['verified']:.0f} % of the images")
-    show_images(report["images"])
+    show(f"images     {count_images(report['images'])}")
     show_skipped(report["skipped"])
     show_notices(result.notices)
     if result.engine:
@@ -125,7 +116,7 @@ def _run_fleet(options: Options, command: str) -> None:
     try:
         with (
             workers_for("run", options.workers, options.scheduler) as workers,
-            progress("localizing", "images" if workers.are_this_process else "sequences") as told,
+            progress("localizing", "images" if workers.are_this_process else "sequences") as shown,
         ):
             for outcome in run_fleet(
                 sequences,
@@ -134,14 +125,14 @@ def _run_fleet(options: Options, command: str) -> None:
                 options.config,
                 reading=options.reading,
                 overwrite=options.overwrite,
-                progress=lambda name, done, count: told.at(numbers[name], done, max(done, count)),
+                progress=lambda name, done, count: shown.at(numbers[name], done, max(done, count)),
                 workers=workers,
                 command=command,
             ):
                 outcomes.append(outcome)
                 if not workers.are_this_process:
-                    told(len(outcomes), len(sequences))
-    finally:  # after Ctrl-C too: what is done is whole
+                    shown(len(outcomes), len(sequences))
+    finally:  # after Ctrl-C too: results of finished sequences are complete
         if outcomes:
             order = [*sequences]
             show_outcomes(sorted(outcomes, key=lambda outcome: order.index(outcome.name)), options.output)
@@ -151,7 +142,7 @@ def _run_fleet(options: Options, command: str) -> None:
 
 
 def show_outcomes(outcomes: Sequence[Outcome], output: Path) -> None:
-    """Print the table of a fleet, and what of each sequence was left out or failed."""
+    """Print the table of a fleet, and errors and skipped images of each sequence."""
     show(format_fleet(outcomes))
     for outcome in outcomes:
         few = [] if outcome.few_images is None else [outcome.few_images]

@@ -22,10 +22,7 @@ from vapor.commands.progress import progress
 class Options:
     """Render a sequence through a synthetic scene, with odometry and true poses."""
 
-    scene: Annotated[
-        tyro.conf.Positional[str],
-        tyro.conf.arg(metavar="{" + ",".join(scene_names()) + "}"),
-    ]
+    scene: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="{" + ",".join(scene_names()) + "}")]
     """What the camera moves through. The number N draws a building, with a camera and an odometry of its own."""
     output: Annotated[tyro.conf.Positional[OutputPath], tyro.conf.arg(metavar="OUT.mcap")]
     """MCAP file to write, new or synthesized before."""
@@ -41,7 +38,7 @@ class Options:
     """Test paths pass something unique in their first half; training paths go everywhere. In a building, those of seeds
     0 to 4 begin evenly spread over a tour of all of it."""
     cues: Cues | None = None
-    """Something unique in the first half, at will, or never. Default: as the split says."""
+    """Something unique in the first half, at will, or never. Default: by the split."""
     width: int = 320
     """Image width in pixels."""
     height: int = 240

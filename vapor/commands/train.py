@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, make_dataclass
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, TypeVar, get_type_hints
 
 import tyro
 from rich.table import Table
@@ -17,15 +17,7 @@ from sequences.options import SequenceOptions
 from sequences.outputs.claims import refuse_other
 from vapor.checkpoints.file_format import is_model
 from vapor.commands.calibrate import show_calibration
-from vapor.commands.console import (
-    OutputPath,
-    Overwrite,
-    show,
-    show_notices,
-    show_skipped,
-    usage_error,
-)
-from vapor.commands.named_settings import Method, Preset, parse_named
+from vapor.commands.console import OutputPath, Overwrite, parse, show, show_notices, show_skipped, usage_error
 from vapor.commands.progress import Progress, progress
 from vapor.evaluation.validation import Validation
 from vapor.training.check_result import TrainingCheck
@@ -37,6 +29,45 @@ from vapor.training.progress import TrainResult
 from vapor.training.state import is_training_state, state_path
 from vapor.training.train import train
 from vapor.training_data.entries import files_read
+
+Preset = Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(PRESETS)}}}")]
+Method = Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(METHODS)}}}")]
+
+_KNOWN: Mapping[str, Collection[str]] = {"preset": PRESETS, "method": METHODS}
+_Options = TypeVar("_Options")
+
+
+def parse_named(
+    command: str,
+    options: type[_Options],
+    arguments: Sequence[str],
+    names: Sequence[str],
+    config: Callable[..., Any],
+    program: str = "vapor-track",
+) -> _Options:
+    """As `parse`, for options with a `config` whose default depends on their fields `names`, of `preset` and `method`.
+
+    An unknown preset or method exits with status 2; `config` makes the default from their values, given by keyword.
+    """
+    chosen = {name: _named(arguments, name, getattr(options, name)) for name in names}
+    for name, value in chosen.items():
+        if value is not None and value not in _KNOWN[name]:
+            usage_error(command, f"unknown {name} {value!r}, expected one of {', '.join(_KNOWN[name])}", program)
+    hints = get_type_hints(options, include_extras=True)
+    defaults = {**chosen, "config": config(**chosen)}
+    fields = [(name, hints[name], value) for name, value in defaults.items()]
+    named = make_dataclass("Options", fields, bases=(options,), frozen=True, namespace={"__doc__": options.__doc__})
+    return parse(command, named, arguments, program=program)
+
+
+def _named(arguments: Sequence[str], name: str, default: str | None) -> str | None:
+    """The last value given for an option."""
+    for word, following in zip(arguments, [*arguments[1:], ""], strict=True):
+        if word == f"--{name}":
+            default = following
+        elif word.startswith(f"--{name}="):
+            default = word.removeprefix(f"--{name}=")
+    return default
 
 
 @dataclass(frozen=True)
@@ -56,7 +87,7 @@ class Options:
     paper's."""
     method: Method | None = None
     """What is trained: the variational regressor, one without its sampling or its KL divergence, or another one.
-    Default: what the preset says, which is retrieval for auto and variational for all others."""
+    Default: that of the preset, which is retrieval for auto and variational for all others."""
     config: Annotated[TrainConfig, tyro.conf.arg(name="")] = PRESETS["auto"]
     reading: Annotated[SequenceOptions, tyro.conf.arg(name="")] = field(default_factory=SequenceOptions)
 
@@ -84,14 +115,14 @@ def _train(options: Options) -> None:
     ):
         data = files_read([*options.data, *options.validation], options.reading)
         refuse_other(path, kind, is_kind, reads=chain(options.config.files_read, data), overwrite=options.overwrite)
-    with progress() if is_first() else nullcontext() as told:
+    with progress() if is_first() else nullcontext() as shown:
         result = train(
             options.data,
             options.output,
             options.config,
             validation=options.validation,
             reading=options.reading,
-            progress=None if told is None else partial(_tell, told),
+            progress=None if shown is None else partial(_show_progress, shown),
         )
     if not is_first():
         return
@@ -105,17 +136,16 @@ def _train(options: Options) -> None:
     show_notices(result.notices)
 
 
-def _tell(told: Progress, now: Where) -> None:
-    """Show where a training stands."""
+def _show_progress(shown: Progress, now: Where) -> None:
     figures = ""
     if now.loss is not None:
         figures = f"epoch {now.epoch}/{now.epochs}, loss {now.loss:.3f}"
     if now.validation is not None:
         held_out = f"{_recalls(now.validation)}, log density {now.validation.log_density:.2f}"
         figures += f", held out at epoch {now.validation.epoch}: {held_out}"
-    told.at(now.stage, now.done, now.total, unit="images" if now.loss is None else "steps", figures=figures)
+    shown.at(now.stage, now.done, now.total, unit="images" if now.loss is None else "steps", figures=figures)
     for note in now.notes:
-        told.note(note)
+        shown.note(note)
 
 
 def _summary(result: TrainResult, output: Path) -> str:
@@ -134,14 +164,14 @@ def _checked(check: TrainingCheck) -> Table:
     for name, figures in check.methods.items():
         error = f"{figures.median_m:.3f} m {figures.median_deg:.1f}°"
         table.add_row(name.replace("_", " "), error, f"{100 * figures.right:.0f} %")
-    said = f"the filter says converged in {100 * check.converged:.0f} % of the images"
+    caption = f"the filter reports converged in {100 * check.converged:.0f} % of the images"
     if check.wrong is not None:
-        said += f", of which {100 * check.wrong:.1f} % are wrong"
+        caption += f", of which {100 * check.wrong:.1f} % are wrong"
     if check.coverage is not None:
-        said += "; of these in its regions: " + ", ".join(
+        caption += "; of these in its regions: " + ", ".join(
             f"{name}: {100 * fraction:.0f} %" for name, fraction in check.coverage.items()
         )
-    table.caption, table.caption_justify = said, "left"
+    table.caption, table.caption_justify = caption, "left"
     return table
 
 

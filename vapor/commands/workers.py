@@ -1,4 +1,4 @@
-"""What commands of many jobs share: where these are done."""
+"""The workers of commands with many jobs."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ Scheduler = Annotated[
         help="Of a Dask scheduler, such as tcp://host:8786: its workers do the work, instead of processes here.",
     ),
 ]
-"""The option that says where jobs are done."""
+"""Option: a scheduler whose workers do the jobs."""
 
 
 @contextmanager
 def workers_for(command: str, processes: int, scheduler: str | None, program: str = "vapor-track") -> Iterator[Workers]:
-    """So many processes here, or the workers of a scheduler; what they have to tell is printed on standard error."""
+    """So many processes here, or the workers of a scheduler; their messages are printed on standard error."""
 
     def tell(line: str) -> None:
         say(f"{program} {command}: {line}")
@@ -42,7 +42,7 @@ def workers_for(command: str, processes: int, scheduler: str | None, program: st
 
 
 def hush_dask() -> None:
-    """Let Dask log nothing: what matters is told in one line."""
+    """Let Dask log nothing."""
     with suppress(ImportError):
         import distributed  # noqa: F401  # makes its loggers
 

@@ -1,4 +1,4 @@
-"""Consistency of reported confidence: what a method says of itself, image by image, against the truth."""
+"""Consistency of reported confidence with errors against the truth."""
 
 from __future__ import annotations
 
@@ -28,21 +28,14 @@ _LEAST_VARIANCE = 1e-12  # of a mode whose particles coincide: a micrometre, a m
 
 
 def evaluate_consistency(
-    estimate: Trajectory,
-    covariance: Float64[np.ndarray, "n 6 6"],
-    converged: Bool[np.ndarray, " n"],
-    truth: Trajectory,
+    estimate: Trajectory, covariance: Float64[np.ndarray, "n 6 6"], converged: Bool[np.ndarray, " n"], truth: Trajectory
 ) -> dict[str, Any]:
-    """Whether a filter is as good as it says, over the images of which it says that it has converged.
+    """Whether a filter is as good as it reports, over the images with status "converged".
 
-    Args:
-        estimate: Best modes, world_from_camera, (n,).
-        covariance: Their covariances in the tangent at the mode, ξ = (v, ω).
-        converged: Whether the status was "converged", (n,).
-        truth: True world_from_camera.
+    Best modes (n,) are world_from_camera, with covariances in the tangent at the mode, ξ = (v, ω).
 
     Returns:
-        `images`: how many said so and have a true pose. `wrong`: the fraction of them that are not right (`RIGHT`).
+        `images`: number with that status and a true pose. `wrong`: the fraction of them that are not right (`RIGHT`).
         `coverage`: for each of the 50, 90 and 95 % regions of the best mode's Gaussian the fraction of them with the
         true pose inside. `median_nees`: median normalised estimation error squared, ξᵀ Σ⁻¹ ξ, 5.35 for a true
         covariance (Bar-Shalom et al. 2001, §5.4). All but `images` are None where that is 0.
@@ -73,13 +66,13 @@ def evaluate_belief(
     kidnap_index: int | None,
     floor_height_m: float | None = None,
 ) -> dict[str, Any]:
-    """Every figure on how far a method is to be trusted.
+    """All figures on the confidence of a method.
 
     Args:
         belief: After each of n images.
         times_ns: Stamps (n,).
         truth: True poses, batch (n,).
-        converged_at_s: When it found itself, of `evaluate_trajectory`.
+        converged_at_s: Of `evaluate_trajectory`.
         kidnap_index: First image after the camera was carried off; None where it was not.
         floor_height_m: From floor to floor, where floors look alike.
 
@@ -87,37 +80,33 @@ def evaluate_belief(
         `status`: fraction of the images by status. `said_converged`, `after_convergence`, `all_images`:
         `evaluate_consistency` over the images of that status, those from `converged_at_s` on, and all.
         `truth_among_modes`: fraction of the images with a mode within 0.3 m and 20° of the truth. `longest_wrong_s`:
-        how long at most it said `converged` and was wrong in all images. `false_recoveries`: their number, see
+        longest time with status "converged" and wrong in all images. `false_recoveries`: their number, see
         `count_false_recoveries`. `kidnap`: None, or whether the last image before was `right_before`, and `images` as
         `recovery_images`. `on_floor`, with `floor_height_m`: `evaluate_consistency` over the images from when on its
         floor is right.
     """
     best = belief.best
+    trajectory, true_trajectory = Trajectory(times_ns, best), Trajectory(times_ns, truth)
     covariance = np.stack([modes[0].covariance for modes in belief.modes])
     counts = Counter(belief.status)
-    said = np.array([status == "converged" for status in belief.status])
+    sure = np.array([status == "converged" for status in belief.status])
     elapsed_s = (times_ns - times_ns[0]) / 1e9
-    after = np.zeros(len(said), bool) if converged_at_s is None else elapsed_s >= converged_at_s - 1e-9
-    trajectory, true_trajectory = Trajectory(times_ns, best), Trajectory(times_ns, truth)
+    after = np.zeros(len(sure), bool) if converged_at_s is None else elapsed_s >= converged_at_s - 1e-9
     right, error_m = is_right(best, truth), best.distance(truth)[0]
-    of_floor: dict[str, Any] = {}
+    over = {"said_converged": sure, "after_convergence": after, "all_images": np.ones(len(sure), bool)}
     if floor_height_m is not None:
-        settled = once_on_floor(best, truth, floor_height_m)
-        of_floor["on_floor"] = evaluate_consistency(trajectory, covariance, settled, true_trajectory)
-    return of_floor | {
-        "status": {name: counts[name] / len(said) for name in ("converged", "ambiguous", "lost")},
-        "said_converged": evaluate_consistency(trajectory, covariance, said, true_trajectory),
-        "after_convergence": evaluate_consistency(trajectory, covariance, after, true_trajectory),
-        "all_images": evaluate_consistency(trajectory, covariance, np.ones(len(said), bool), true_trajectory),
+        over["on_floor"] = once_on_floor(best, truth, floor_height_m)
+    kidnap = None
+    if kidnap_index is not None:
+        images = recovery_images(right, kidnap_index=kidnap_index)
+        kidnap = {"right_before": bool(right[kidnap_index - 1]), "images": images}
+    return {
+        "status": {name: counts[name] / len(sure) for name in ("converged", "ambiguous", "lost")},
+        **{name: evaluate_consistency(trajectory, covariance, of, true_trajectory) for name, of in over.items()},
         "truth_among_modes": truth_among_modes(belief.modes, truth),
-        "longest_wrong_s": longest_s(said & ~right, times_ns),
+        "longest_wrong_s": longest_s(sure & ~right, times_ns),
         "false_recoveries": count_false_recoveries(right, error_m, kidnap_index=kidnap_index),
-        "kidnap": None
-        if kidnap_index is None
-        else {
-            "right_before": bool(right[kidnap_index - 1]),
-            "images": recovery_images(right, kidnap_index=kidnap_index),
-        },
+        "kidnap": kidnap,
     }
 
 
@@ -143,13 +132,7 @@ def longest_s(flags: Bool[np.ndarray, " n"], times_ns: Int64[np.ndarray, " n"]) 
 def count_false_recoveries(
     right: Bool[np.ndarray, " n"], error_m: Float64[np.ndarray, " n"], *, kidnap_index: int | None = None
 ) -> int:
-    """How often the pose was right at an image and more than 1 m off at the next.
-
-    Args:
-        right: Whether the pose is right, (n,).
-        error_m: Its error of position, metres, (n,).
-        kidnap_index: First image after the camera was carried off, where any method is thrown off.
-    """
+    """How often the pose was right at an image and more than 1 m off at the next, but for the first after a kidnap."""
     leaps = right[:-1] & (error_m[1:] > JUMP_M)
     if kidnap_index is not None:
         leaps[kidnap_index - 1] = False
@@ -157,15 +140,9 @@ def count_false_recoveries(
 
 
 def recovery_images(right: Bool[np.ndarray, " n"], *, kidnap_index: int) -> int | None:
-    """How many images at its new place a method needed to be right again and stay so.
+    """Number of images at the new place until a method is right, with at least 95 % of the images from then on.
 
-    Args:
-        right: Whether the pose is right, (n,).
-        kidnap_index: First image at the new place.
-
-    Returns:
-        1 for the first image there; the last of them is right, and with it at least 95 % of all that follow.
-        None if there is no such image.
+    1 stands for the first image there, `kidnap_index`; None if there is no such image.
     """
     later = right[kidnap_index:]
     remaining = np.arange(len(later), 0, -1)

@@ -1,4 +1,4 @@
-"""Places one above the other: which floor a pose is on, and how good poses are but for it."""
+"""Floors of a building: which one poses are on, and errors of poses but for it."""
 
 from __future__ import annotations
 
@@ -23,18 +23,9 @@ def floor_accuracy(poses: Poses, truth: Poses, floors: Floors) -> float:
 
 
 def evaluate_floors(
-    floors: Floors,
-    belief: Float64[np.ndarray, "n f"],
-    methods: Mapping[str, Trajectory],
-    truth: Trajectory | None,
+    floors: Floors, belief: Float64[np.ndarray, "n f"], methods: Mapping[str, Trajectory], truth: Trajectory | None
 ) -> dict[str, Any]:
-    """Which floor the filter believes in, and how often each method is on the right one.
-
-    Args:
-        floors: The f floors.
-        belief: What the filter believed after each of n images, see `Floors.belief`.
-        methods: Trajectories by name; the filter's has a pose for each of the n images.
-        truth: True poses; None where they are unknown, or belong to none of the images.
+    """Floors that the filter believed in after each of n images (`Floors.belief`), and each method's floor accuracy.
 
     Returns:
         `heights_m` of the floors; `belief`: fraction of the belief on each after the last image; `sure`: fraction of
@@ -71,13 +62,6 @@ def floors_off(poses: Poses, truth: Poses, floor_height_m: float) -> Int64[np.nd
     return np.round((poses.translation[:, 2] - truth.translation[:, 2]) / floor_height_m).astype(np.int64)
 
 
-def on_true_floor(poses: Poses, truth: Poses, floor_height_m: float) -> Poses:
-    """The poses (n,), each moved up or down by whole floors to the true one."""
-    down = np.zeros_like(poses.translation)
-    down[:, 2] = floor_height_m * floors_off(poses, truth, floor_height_m)
-    return Poses(poses.rotation, poses.translation - down)
-
-
 def once_on_floor(poses: Poses, truth: Poses, floor_height_m: float) -> Bool[np.ndarray, " n"]:
     """The images from the first on which, and on all later ones of which, the floor is right, (n,)."""
     wrong = floors_off(poses, truth, floor_height_m) != 0
@@ -85,16 +69,17 @@ def once_on_floor(poses: Poses, truth: Poses, floor_height_m: float) -> Bool[np.
 
 
 def evaluate_floor(poses: Poses, truth: Poses, floor_height_m: float) -> dict[str, Any]:
-    """How often poses (n,) are right but for their floor, and once their floor is right.
+    """Fractions of poses (n,) that are right but for their floor (`but_for_it`), and once their floor is right.
 
-    Returns:
-        `but_for_it`: fraction of the images that are right if they are moved to the true floor. `settled_images`: those
-        from the first on which, and on all later ones of which, the floor is right; `settled_right`: fraction of
-        them that is right, None if there are none.
+    `settled_images` are those from the first on which, and on all later ones of which, the floor is right;
+    `settled_right` is the fraction of them that is right, None if there are none.
     """
     right, settled = is_right(poses, truth), once_on_floor(poses, truth, floor_height_m)
+    up = np.zeros_like(poses.translation)
+    up[:, 2] = floor_height_m * floors_off(poses, truth, floor_height_m)
+    on_true_floor = Poses(poses.rotation, poses.translation - up)
     return {
-        "but_for_it": float(np.mean(is_right(on_true_floor(poses, truth, floor_height_m), truth))),
+        "but_for_it": float(np.mean(is_right(on_true_floor, truth))),
         "settled_images": int(settled.sum()),
         "settled_right": float(np.mean(right[settled])) if settled.any() else None,
     }

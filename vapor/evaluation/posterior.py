@@ -1,4 +1,4 @@
-"""How good posteriors of single images are against the truth: the paper's recall, and what it leaves out."""
+"""Metrics of posteriors of single images against the truth: the paper's recall, and more."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def posterior_metrics(
     Args:
         posteriors: Posterior samples of each image, world_from_camera, (m,).
         truth: True poses, world_from_camera, (n,).
-        calibration: Kernel widths of the density, and how far a place reaches.
+        calibration: Kernel widths of the density, and the radius of a place.
         gamma: Fraction of an image's samples that must be near its true pose for the posterior to count as right.
         exact_log_density: Log density of each image's own posterior at its true pose, per m³ rad³, where it is known.
 

@@ -1,4 +1,4 @@
-"""How good a trajectory is against the truth, in the map's frame: no alignment anywhere."""
+"""Errors of a trajectory against the truth, in the map's frame: no alignment anywhere."""
 
 from __future__ import annotations
 
@@ -20,17 +20,20 @@ THRESHOLDS: Mapping[str, tuple[float, float]] = MappingProxyType(
 """Recall thresholds: metres and degrees, both to be met."""
 
 POSITION_M: Mapping[str, float] = MappingProxyType({"1m": 1.0, "3m": 3.0, "5m": 5.0})
-"""Thresholds of position recall, metres, whichever way the camera looks: what localization in maps of cities reports
-(Sarlin et al., "OrienterNet", CVPR 2023); there errors are of two dimensions, here of three."""
+"""Thresholds of position recall, metres, as localization in maps of cities reports (Sarlin et al., "OrienterNet",
+CVPR 2023), there in two dimensions, here in three."""
 
 RIGHT = "0.3m/20deg"
 """The threshold within which a pose counts as right."""
 
 TAIL_M: Mapping[str, float] = MappingProxyType({"0.1m": 0.1, "0.25m": 0.25, "0.5m": 0.5})
-"""Translation errors in metres beyond which images are counted: medians say nothing of the tail."""
+"""Translation errors in metres beyond which images are counted: medians do not show the tail."""
 
 SURE = 0.95
-"""Fraction of the remaining images that must be right once a method has found itself."""
+"""Fraction of the remaining images that must be right once a method has converged."""
+
+
+_MOST_GAP_NS = 250_000_000  # between true poses that are interpolated
 
 
 def is_right(poses: Poses, truth: Poses) -> Bool[np.ndarray, "*n"]:
@@ -40,25 +43,18 @@ def is_right(poses: Poses, truth: Poses) -> Bool[np.ndarray, "*n"]:
     return (translation_m <= limit_m) & (np.degrees(rotation_rad) <= limit_deg)
 
 
-def associate(
-    times_ns: Int64[np.ndarray, " n"], truth: Trajectory, *, max_gap_s: float = 0.25
-) -> tuple[Bool[np.ndarray, " n"], Poses]:
-    """True poses at given stamps: exact where a stamp is equal, else interpolated on SE(3) between its neighbours.
-
-    Args:
-        times_ns: Stamps (n,), integer nanoseconds.
-        truth: True poses, at least one.
-        max_gap_s: Longest gap between neighbours, in seconds, that is interpolated over.
+def associate(times_ns: Int64[np.ndarray, " n"], truth: Trajectory) -> tuple[Bool[np.ndarray, " n"], Poses]:
+    """True poses at stamps (n,): exact where a stamp is equal, else interpolated on SE(3) between its neighbours.
 
     Returns:
-        Which stamps (n,) have a true pose, and the true poses (k,) of those, in order.
+        Whether each stamp has a true pose, (n,), and these true poses (k,) in order.
     """
     known_ns = truth.times_ns
     after = np.searchsorted(known_ns, times_ns, side="left")
     right = np.minimum(after, len(known_ns) - 1)
     left = np.maximum(after - 1, 0)
     exact = known_ns[right] == times_ns
-    between = (after > 0) & (after < len(known_ns)) & (known_ns[right] - known_ns[left] <= round(max_gap_s * 1e9))
+    between = (after > 0) & (after < len(known_ns)) & (known_ns[right] - known_ns[left] <= _MOST_GAP_NS)
     found = exact | between
     left, right = np.where(exact, right, left)[found], right[found]
     span = np.maximum(known_ns[right] - known_ns[left], 1)
@@ -93,19 +89,14 @@ def pose_errors(
 
 
 def evaluate_trajectory(estimate: Trajectory, truth: Trajectory, *, tracking: bool) -> dict[str, Any]:
-    """Errors of a trajectory against the truth, without any alignment.
-
-    Args:
-        estimate: Estimated world_from_camera; poses whose truth is unknown are left out (see `associate`).
-        truth: True world_from_camera.
-        tracking: Whether the method carries a belief from image to image, and so can converge.
+    """Errors of a trajectory (world_from_camera) against the truth, without alignment, of poses whose truth is known.
 
     Returns:
         `median_translation_m`, `median_rotation_deg`, `ape_rmse_m` (root mean square of the translation error) and
         `recall`: for each of `THRESHOLDS` the fraction of images within both limits; `position_recall`: for each of
         `POSITION_M` the fraction of images whose translation error is within it; `worse_than`: for each of `TAIL_M` the
-        fraction of images with a larger one. With `tracking` also `converged_at_s` (see
-        `convergence_s`, null if never), `success`: whether that moment lies before four fifths of the sequence, and
+        fraction of images with a larger one. With `tracking`, of a method that carries a belief from image to image,
+        also `converged_at_s` (see `convergence_s`, null if never), `success` (whether it converged), and
         `after_convergence`: number of `images` from that moment on, and their `recall` (null if never).
 
     Raises:
@@ -138,19 +129,11 @@ def evaluate_trajectory(estimate: Trajectory, truth: Trajectory, *, tracking: bo
 def convergence_s(
     times_ns: Int64[np.ndarray, " n"], right: Bool[np.ndarray, " n"], *, start_ns: int | None = None
 ) -> float | None:
-    """The moment from when on a method is right.
+    """Seconds from the first image of a sequence to the moment from which on a method is right; None if never.
 
-    It is the first image that is right itself, from which on, itself included, at least 95 % of the images are
-    right, and that lies strictly before four fifths of the sequence's duration: the last fifth must remain to
-    prove it, or a single lucky image at the end would count.
-
-    Args:
-        times_ns: Stamps (n,).
-        right: Whether each image's pose is right, (n,).
-        start_ns: Stamp of the sequence's first image, from which seconds count; the first of `times_ns` if None.
-
-    Returns:
-        Seconds since the first image; None if there is no such moment.
+    It is the first image that is right, from which on, itself included, at least 95 % of the images are right, and that
+    lies strictly before four fifths of the sequence's duration: a single lucky image at the end does not count. The
+    stamp of the sequence's first image is that of the first given image, or `start_ns`.
     """
     start_ns = int(times_ns[0]) if start_ns is None else start_ns
     remaining = np.arange(len(right), 0, -1)

@@ -1,4 +1,4 @@
-"""How good the posteriors of held-out images are: what selects the weights that are kept."""
+"""Metrics of the posteriors of held-out images, by which training selects weights."""
 
 from __future__ import annotations
 
@@ -20,20 +20,16 @@ RECALL_TRANSLATION_M, RECALL_ROTATION_RAD = 0.3, float(np.deg2rad(20.0))
 _BATCH = 64
 _MAX_NOISE = 2**25  # numbers at a time: dropout takes 2048 for every sample
 LOG_FLOOR = float(np.log(1e-4))
-"""Log density per m³ rad³ that is added to that at a true pose: it keeps single images from deciding."""
+"""Log density per m³ rad³ that is added at a true pose, so that no single image decides."""
 
 
 @dataclass(frozen=True)
 class Validation:
-    """Figures of one epoch on held-out images, means over the images.
+    """Figures of one epoch on held-out images, means over the images; epochs count from 1.
 
-    Attributes:
-        epoch: Epochs trained, from 1.
-        train_loss: Mean training loss of that epoch.
-        sample_recall: Fraction of the posterior samples within 0.3 m and 20° of the true pose.
-        mode_recall: Fraction of the images whose sample of highest density is.
-        log_density: Mean of log(p̂(true pose) + 10⁻⁴ per m³ rad³): unlike the recalls it falls when a possible place is
-            forgotten, which a filter cannot mend.
+    The recalls are fractions within 0.3 m and 20° of the true pose: of the posterior samples, and of the images by
+    their sample of highest density. The log density is the mean of log(p̂(true pose) + 10⁻⁴ per m³ rad³): unlike the
+    recalls it falls when a possible place is forgotten, which no filter can repair.
     """
 
     epoch: int
@@ -54,17 +50,10 @@ def validate(
     train_loss: float,
     feature: Float[Tensor, "n f"] | None = None,
 ) -> Validation:
-    """Evaluate the posteriors of held-out images, with the same latent noise every time.
+    """Evaluate the posteriors of the centre crops of held-out images, scaled as for training.
 
-    Args:
-        network: In any mode; evaluated in evaluation mode, and left as it was.
-        held_out: Images scaled as for training; their centre crops are used.
-        calibration: Kernel widths.
-        num_samples: Posterior samples per image.
-        seed: Seed of the latent noise.
-        epoch: Passed through.
-        train_loss: Passed through.
-        feature: See `predict`.
+    The latent noise is that of the seed, the same every time; the network may be in any mode, and is left as it was.
+    For features see `predict`; `epoch` and `train_loss` are passed through.
     """
     figures = []
     for i, samples in enumerate(predict(network, held_out, num_samples, seed, feature)):
@@ -85,14 +74,9 @@ def predict(
     seed: int,
     feature: Float[Tensor, "n f"] | None = None,
 ) -> Iterator[Poses]:
-    """Posterior samples (num_samples,) of each image's centre crop, float32 arithmetic.
+    """Posterior samples (num_samples,) of each image's centre crop, float32 arithmetic, with latent noise of the seed.
 
-    Args:
-        network: In any mode.
-        images: Scaled as for training.
-        num_samples: Posterior samples per image.
-        seed: Seed of the latent noise.
-        feature: Their features, from `extract_features`, where they are known; the images are then not looked at.
+    Images are scaled as for training; they are not used where their features, from `extract_features`, are given.
     """
     device = network.pixel_mean.device
     generator = torch.Generator(device).manual_seed(seed)
@@ -108,7 +92,7 @@ def predict(
 
 
 def exact_log_density(network: PoseRegressor, images: TrainingSet) -> Float64[np.ndarray, " n"] | None:
-    """Log density per m³ rad³ of each image's posterior at its true pose, (n,); None where only samples tell of it."""
+    """Log density per m³ rad³ of each image's posterior at its true pose, (n,); None without a closed form."""
     density = network.density
     if density is None:
         return None
@@ -122,7 +106,7 @@ def exact_log_density(network: PoseRegressor, images: TrainingSet) -> Float64[np
 
 
 def batches(network: PoseRegressor, images: TrainingSet, size: int = _BATCH) -> Iterator[tuple[slice, Tensor]]:
-    """Which images, and their centre crops, normalised; the network is in evaluation mode until all are done."""
+    """Slices of the images and their normalised centre crops; the network is in evaluation mode meanwhile."""
     config, training = network.config, network.training
     network.eval()
     for start in range(0, len(images), size):

@@ -1,4 +1,4 @@
-"""Whether the stated intrinsics fit what images show from their true poses, and which do."""
+"""The stated intrinsics, and those that fit images and their true poses."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class _View(NamedTuple):
 
 
 class CameraViews:
-    """Images with true poses as they come, of which runs are kept that are spread over all of them: 300 at most."""
+    """Runs of images with true poses, spread over a recording of unknown length: 300 images at most."""
 
     def __init__(self) -> None:
         self._views: list[_View] = []
@@ -59,11 +59,7 @@ class CameraViews:
         return number // _RUN % self._every == 0
 
     def check(self, advance: Callable[[int, int], None] = lambda done, total: None) -> CameraCheck:
-        """What fits the images of the camera that most of those kept are of.
-
-        Args:
-            advance: Called with the number of key images done and of all.
-        """
+        """Fit the camera of most images; `advance` is called with the number of key images done and of all."""
         cameras = Counter((view.camera, view.is_stated) for view in self._views)
         if not cameras:
             return CameraCheck(0, None, None, False, "there are no true poses")
@@ -87,20 +83,16 @@ class CameraViews:
         if fit is None:
             return unknown("too few points are seen from two sides")
         if fit.by_stated is None and fit.by_found is None:
-            return unknown("hardly any point is seen where the true poses say that it must be, whatever the camera")
+            return unknown("hardly any point is seen where the true poses put it, whatever the camera")
         return CameraCheck(count, camera, fit, len(cameras) == 1, None)
 
 
 @dataclass(frozen=True)
 class CameraCheck:
-    """The stated intrinsics beside those that fit images and true poses.
+    """The stated intrinsics, and those that fit a number of images and their true poses.
 
-    Attributes:
-        images: How many images it was looked for in.
-        camera: What is stated of these, at their size, a guess where nothing is; None without true poses.
-        fit: What was found; None where nothing can be said.
-        of_all: Whether all images are of this camera.
-        unknown: Why nothing can be said; None where something can.
+    The camera is as stated, at the size of the images, or a guess; None without true poses. Without a fit, `unknown` is
+    the reason. `of_all`: whether all images are of this camera.
     """
 
     images: int
@@ -111,19 +103,19 @@ class CameraCheck:
 
     @property
     def disagrees(self) -> bool:
-        """Whether others than the stated intrinsics fit clearly better, which are not almost the same."""
+        """Whether clearly different intrinsics fit clearly better than the stated ones."""
         return self.fit is not None and self.fit.known and self.fit.is_better and self.fit.apart_px > _SAME_PX
 
     @property
     def said(self) -> str:
-        """What was found, in a sentence without its end."""
+        """The finding, in a sentence without its end."""
         if self.fit is None or self.camera is None:
             return f"nothing can be said: {self.unknown}"
         return self.fit.said(self.camera.width)
 
     @property
     def found(self) -> Camera | None:
-        """The pinhole camera that fits, at the size of the images; None where nothing can be said, or none fits."""
+        """The pinhole camera that fits, at the size of the images; None where unknown, or none fits."""
         if self.fit is None or self.fit.by_found is None or self.camera is None:
             return None
         return self.fit.found.camera.scaled(self.camera.width, self.camera.height)

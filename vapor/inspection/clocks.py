@@ -1,10 +1,9 @@
-"""Whether images have the clock of odometry and true poses: what they show moves as these say, at the same time."""
+"""The clock of images against that of odometry or true poses, by the motion that images show."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
@@ -25,13 +24,10 @@ _DRAWS, _GOOD = 100, 0.03  # and of the mean residual, focal lengths
 
 @dataclass(frozen=True)
 class ImageClock:
-    """How much later the stamps of a recording's images are than those of something else, of the same moment.
+    """Delay of the stamps of a recording's images against those of odometry, or without any of true poses.
 
-    Attributes:
-        name: Of the recording.
-        against: What they are compared with: "odometry", or without any "true poses"; None where there is neither.
-        late_ms: Milliseconds; None where that cannot be said, as where the camera hardly turns, or always alike.
-        as_stated: Whether images are as stated then, neither turned nor mirrored.
+    The delay, milliseconds, is None where unknown, as where the camera hardly turns, or always alike. `as_stated`:
+    whether images are neither turned nor mirrored then.
     """
 
     name: str
@@ -41,7 +37,7 @@ class ImageClock:
 
     @staticmethod
     def of(walk: Walk) -> ImageClock:
-        """The clock of a recording's images, by where what they share is seen."""
+        """The clock of a recording's images, by features that pairs of them share."""
         others: dict[By, Trajectory] = {
             "odometry": _by_odometry(walk),
             "true poses": Trajectory(walk.times_ns[walk.posed], walk.poses),
@@ -59,13 +55,9 @@ class ImageClock:
                     return ImageClock(walk.name, by, 1e3 * late_s, orientation == AS_STATED)
         return ImageClock(walk.name, against, None)
 
-    def as_json(self) -> dict[str, Any]:
-        """For the report."""
-        return asdict(self)
-
 
 def _late_s(pairs: Sequence[Pair], track: Trajectory, turn: Float64[np.ndarray, "3 3"]) -> float | None:
-    """Seconds by which images are late: what two of them share is seen where it should be, so much earlier."""
+    """Delay in seconds with which shared features are seen where they should be; None where unknown."""
     if len(pairs) < _LEAST_PAIRS:
         return None
     late_s = np.arange(-_MOST_S, _MOST_S + _COARSE_S / 2, _COARSE_S)
@@ -89,7 +81,7 @@ def _late_s(pairs: Sequence[Pair], track: Trajectory, turn: Float64[np.ndarray, 
 def _residuals(
     pairs: Sequence[Pair], track: Trajectory, turn: Float64[np.ndarray, "3 3"], offsets_s: Float64[np.ndarray, " o"]
 ) -> Float64[np.ndarray, "o p"]:
-    """Of each pair, were its images so late; NaN where no pose covers it then."""
+    """Of each pair at each delay; NaN where no pose covers it."""
     residuals, stamps_ns = Residuals(pairs), np.array([pair.times_ns for pair in pairs], np.int64)
     found = []
     for late_s in offsets_s.tolist():
@@ -101,7 +93,7 @@ def _residuals(
 
 
 def _means(table: Float64[np.ndarray, "o p"]) -> Float64[np.ndarray, " o"]:
-    """Of each offset over the pairs that are covered then; NaN where these are too few."""
+    """Means over the covered pairs; NaN where these are too few."""
     known = np.isfinite(table)
     count = known.sum(axis=1)
     means = np.where(known, table, 0.0).sum(axis=1) / np.maximum(count, 1)

@@ -1,7 +1,8 @@
-"""Where the camera has been, how often and looking which way; and what only some of the recordings show."""
+"""Where the camera was, how often and looking which way; and places that only some of the recordings show."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -9,27 +10,135 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from filtering.floors import find_floors
-from vapor.inspection.plan import Plan
-from vapor.inspection.regions import Cell, Floor, Segment
+from filtering.floors import find_floors, up_axis
+from filtering.se3 import Poses
 from vapor.training.config import TrainConfig
 from vapor.training.holding_out import AWAY, WHOLE_OF, Split, hold_out, long_runs, shown_by, way_of
 from vapor.training_data.ground import DIRECTION_RAD, runs
 from vapor.training_data.training_set import TrainingSet
+
+SECTORS = 8
+STEEP = np.sin(np.deg2rad(60.0))
+_COMPASS = ("east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east")
+_MOST_CELLS = 50  # along the longer side of the plan
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A map from above, which the cameras outline, with cells of a side in metres.
+
+    Axes are right and up on the map, and up in the world: unit vectors in the world, rows (3, 3); the first two have
+    names such as "x" or "-y".
+    """
+
+    axes: Float64[np.ndarray, "3 3"]
+    names: tuple[str, str]
+    cell_m: float
+
+    @staticmethod
+    def of(poses: Poses, near_m: float) -> Plan:
+        """The plan of cameras (n,): up is the axis of the world that is up in most images."""
+        up = up_axis(poses)
+        first = np.eye(3)[0 if up[0] == 0.0 else 1]
+        second = np.cross(up, first)
+        names = [f"{'-' if axis.sum() < 0 else ''}{'xyz'[int(np.argmax(np.abs(axis)))]}" for axis in (first, second)]
+        extent = np.ptp(poses.translation @ np.stack([first, second]).T, axis=0).max()
+        cell_m = _round(max(near_m / 2, extent / _MOST_CELLS))
+        return Plan(np.stack([first, second, up]), (names[0], names[1]), cell_m)
+
+    def places(self, poses: Poses) -> Float64[np.ndarray, "n 3"]:
+        """Positions on the map and heights, metres."""
+        return poses.translation @ self.axes.T
+
+    def sectors(self, poses: Poses) -> Int64[np.ndarray, " n"]:
+        """Directions of cameras: 0 to 7 from right on the map counterclockwise, 8 up and 9 down."""
+        ahead = poses.rotation[:, :, 2] @ self.axes.T
+        level = np.round(np.arctan2(ahead[:, 1], ahead[:, 0]) / (2 * np.pi / SECTORS)).astype(np.int64) % SECTORS
+        return np.where(np.abs(ahead[:, 2]) < STEEP, level, np.where(ahead[:, 2] > 0, SECTORS, SECTORS + 1))
+
+    def direction(self, sector: int) -> str:
+        """A direction in words: by the compass where z is up and y north; else by axes."""
+        if sector >= SECTORS:
+            return "up" if sector == SECTORS else "down"
+        if self.names == ("x", "y"):
+            return _COMPASS[sector]
+        turn = sector * 2 * np.pi / SECTORS
+        parts = []
+        for size, name in zip((np.cos(turn), np.sin(turn)), self.names, strict=True):
+            if abs(size) > 0.1:
+                negative = (size < 0) != name.startswith("-")
+                parts.append(f"{'-' if negative else '+'}{name[-1]}")
+        return " ".join(parts)
+
+
+def _round(value: float) -> float:
+    # Up to 1, 2 or 5 times a power of ten.
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(power * next(step for step in (1, 2, 5, 10) if step * power >= value * (1 - 1e-9)))
+
+
+@dataclass(frozen=True)
+class Segment:
+    """Images in a row of one recording, first to last: numbers count its images with a true pose, from 0.
+
+    Heights, in metres, are of the lowest and the highest; most images are on the floor with the number `floor`, from 0.
+    """
+
+    name: str
+    first: int
+    last: int
+    low_m: float
+    high_m: float
+    floor: int
+
+    def __str__(self) -> str:
+        return f"{self.name}: images {self.first} to {self.last} ({height(self.low_m, self.high_m)})"
+
+
+@dataclass(frozen=True)
+class Floor:
+    """One of several floors: heights in metres of its lowest and highest camera, its images, and the recordings there.
+
+    `trained` of these are not held out as a whole. `late` is the last fraction of each recording's images, before which
+    none shows it; None where one does.
+    """
+
+    low_m: float
+    high_m: float
+    images: int
+    names: tuple[str, ...]
+    trained: int
+    late: float | None
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A square of the map: floor from 0, column from the left, row from below.
+
+    `passes` came near it, of which `looked` counts those that looked each way, by direction (`Plan.sectors`).
+    """
+
+    floor: int
+    column: int
+    row: int
+    passes: int
+    looked: Mapping[int, int]
+
+
+def height(low_m: float, high_m: float) -> str:
+    """A range of heights in words."""
+    return f"height {low_m:.1f} m" if high_m - low_m < 0.05 else f"height {low_m:.1f} to {high_m:.1f} m"
+
 
 _LATE = 0.25  # of a recording
 
 
 @dataclass(frozen=True)
 class Coverage:
-    """What n images with true poses of r recordings show.
+    """Coverage of a place by n images with true poses of r recordings, measured as `train` does to hold images out.
 
-    Attributes:
-        images: Them.
-        split: What `train` would hold out.
-        shown: Whether each image is shown by each recording, by another pass of it where it is its own, (n, r).
-        plan: The map.
-        way: How far the camera has come, (n,).
+    `shown`: whether each recording, or of its own another pass, shows the surroundings of each image, (n, r). `way`:
+    length of the path up to each image, metres, (n,).
     """
 
     images: TrainingSet
@@ -40,25 +149,25 @@ class Coverage:
 
     @staticmethod
     def of(images: TrainingSet) -> Coverage:
-        """What these images show, by the same measure by which `train` holds some of them out."""
+        """Measured as `train` does to hold images out."""
         split = hold_out(images, TrainConfig().validation_fraction)
         plan = Plan.of(images.poses, split.near_m)
         return Coverage(images, split, shown_by(images, split.near_m), plan, way_of(images))
 
     @property
     def by_recordings(self) -> bool:
-        """Whether what other recordings show counts, as whole ones are held out; else what other passes do."""
+        """Whether other recordings count, as whole ones are held out; else other passes do."""
         return len(self.images.names) >= WHOLE_OF
 
     @cached_property
     def others(self) -> Int64[np.ndarray, " n"]:
-        """How many other recordings show each image; of few, how many do it in another pass."""
+        """Number of other recordings that show each image; of few recordings, of those that do in another pass."""
         own = np.arange(len(self.images)), self.images.sequence
         return self.shown.sum(axis=1) - (self.shown[own] if self.by_recordings else 0)
 
     @cached_property
     def places(self) -> Float64[np.ndarray, "n 3"]:
-        """On the map, and heights, metres."""
+        """Positions on the map and heights, metres."""
         return self.plan.places(self.images.poses)
 
     @cached_property
@@ -73,12 +182,12 @@ class Coverage:
 
     @cached_property
     def sectors(self) -> Int64[np.ndarray, " n"]:
-        """Which way each image looks."""
+        """Direction of each image, see `Plan.sectors`."""
         return self.plan.sectors(self.images.poses)
 
     @cached_property
     def passes(self) -> list[Cell]:
-        """The cells of the map in which an image is, each with the passes that came near it."""
+        """The cells of the map that have an image."""
         keys, index = np.unique(np.column_stack([self.floor, self.cells]), axis=0, return_inverse=True)
         index, near_m = index.ravel(), self.split.near_m
         position, ahead = self.images.poses.translation, self.images.poses.rotation[:, :, 2]
@@ -98,7 +207,7 @@ class Coverage:
         return found
 
     def alone(self) -> list[Segment]:
-        """Segments that no other recording shows, or of few recordings no other pass; from the longest down."""
+        """Segments that no other recording, or of few recordings no other pass, shows; from the longest down."""
         alone = self.others == 0
         sequence = self.images.sequence
         brief = ~alone & ~long_runs(~alone, self.way, sequence)
@@ -107,24 +216,15 @@ class Coverage:
             rows = np.arange(run.start, run.stop)
             rows = rows[np.flatnonzero(alone[rows])[[0, -1]]] if alone[rows].any() else rows[:0]
             if len(rows):
-                found.append(self._segment(slice(int(rows[0]), int(rows[-1]) + 1)))
+                number, heights = int(sequence[run.start]), self.places[rows[0] : rows[-1] + 1, 2]
+                first, last = (rows[[0, -1]] - int(np.argmax(sequence == number))).tolist()
+                floor = int(np.bincount(self.floor[rows[0] : rows[-1] + 1]).argmax())
+                low_m, high_m = float(heights.min()), float(heights.max())
+                found.append(Segment(self.images.names[number], first, last, low_m, high_m, floor))
         return sorted(found, key=lambda segment: segment.first - segment.last)
 
-    def _segment(self, run: slice) -> Segment:
-        number = int(self.images.sequence[run.start])
-        begin = int(np.argmax(self.images.sequence == number))
-        heights = self.places[run, 2]
-        return Segment(
-            self.images.names[number],
-            run.start - begin,
-            run.stop - 1 - begin,
-            float(heights.min()),
-            float(heights.max()),
-            int(np.bincount(self.floor[run]).argmax()),
-        )
-
     def floors(self) -> list[Floor]:
-        """From the lowest up; none where there is one only."""
+        """From the lowest up; empty where there is one only."""
         if self.floor.max() == 0:
             return []
         found = []
@@ -162,7 +262,7 @@ class Coverage:
 
 
 def _visits(near: Bool[np.ndarray, " n"], away: Bool[np.ndarray, " n"], sequence: Int64[np.ndarray, " n"]) -> int:
-    """How often recordings come near something, having been away from it between."""
+    """Number of times that recordings come near, having been away between."""
     clear = np.flatnonzero(near | away)
     comes = near[clear]
     before = np.concatenate([[False], comes[:-1]])

@@ -1,9 +1,9 @@
-"""The whole inspection of recordings: read once, examined from every side, with a verdict."""
+"""The whole inspection of recordings, which are read once, with a verdict."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +16,13 @@ from vapor.inspection.camera import CameraCheck, CameraViews
 from vapor.inspection.clocks import ImageClock
 from vapor.inspection.coverage import Coverage
 from vapor.inspection.odometry import OdometryCheck, check_odometry
-from vapor.inspection.predictions import Predictions, Said
+from vapor.inspection.predictions import Prediction, Predictions
 from vapor.inspection.reading import posed_images, read_walks
 from vapor.inspection.verdict import verdict
 from vapor.inspection.walk import Walk
 from vapor.observation import VaporObservationModel
-from vapor.pipeline.unrecognised import SomeImages, why_unrecognised
+from vapor.pipeline.unrecognised import MOST_IMAGES, SeenImage, why_unrecognised
+from vapor.reporting.record import EvenlySpaced
 from vapor.training_data.checks import too_far
 
 _MOST = 0.5  # of the images
@@ -29,17 +30,10 @@ _MOST = 0.5  # of the images
 
 @dataclass(frozen=True)
 class Inspection:
-    """What was found.
+    """The findings on recordings, at least one, and notices on their true poses.
 
-    Attributes:
-        walks: The recordings, at least one.
-        coverage: What they show; None without true poses.
-        odometry: How it compares with true poses; None without both.
-        clocks: How the images' stamps compare with those of odometry or true poses, of each recording.
-        camera: How the stated intrinsics compare with those that fit images and true poses.
-        predictions: What a model says of the images; None without a model.
-        notices: What a person should know of the true poses.
-        verdict: Sentences, the most important first.
+    Without true poses there is no coverage, without both them and odometry no comparison of these. The verdict has the
+    most important sentence first.
     """
 
     walks: tuple[Walk, ...]
@@ -57,7 +51,7 @@ class Inspection:
             "walks": [walk.as_json() for walk in self.walks],
             "coverage": None if self.coverage is None else self.coverage.as_json(),
             "odometry": None if self.odometry is None else self.odometry.as_json(),
-            "clocks": [clock.as_json() for clock in self.clocks],
+            "clocks": [asdict(clock) for clock in self.clocks],
             "camera": self.camera.as_json(),
             "model": None if self.predictions is None else self.predictions.as_json(self.coverage),
             "notices": list(self.notices),
@@ -76,20 +70,16 @@ def inspect(
 ) -> Inspection:
     """Inspect recordings.
 
-    Args:
-        data: Each `PATH` or `PATH@START:STOP`, as `train` takes them; true poses and odometry may be missing.
-        reading: What to read of recordings; None for all of it, as found.
-        model: Asked about every image, where given.
-        seed: Of its latent noise.
-        see: Called with every frame, in order.
-        progress: Called with the stage, how much of it is done, and of how much.
+    Data are `PATH` or `PATH@START:STOP`, as `train` takes them; true poses and odometry may be missing. A model
+    observes every image, with latent noise of the seed. `see` is called with every frame in order, `progress` with the
+    stage, how much of it is done, and of how much.
 
     Raises:
         TrainingError: no data, a bad range, or a pose that is not finite.
         SequenceError: data that cannot be read.
     """
-    said: list[Said] = []
-    some = SomeImages()
+    predicted: list[Prediction] = []
+    some: EvenlySpaced[SeenImage] = EvenlySpaced(MOST_IMAGES)
     views = CameraViews()
     rng = np.random.default_rng(seed)
 
@@ -97,8 +87,8 @@ def inspect(
         see(frame)
         views.take(frame)
         if model is not None:
-            some.add(frame.image, frame.camera)
-            said.append(Said.of(model.observe(frame.image, rng=rng)))
+            some.add(lambda: (frame.image, frame.camera))
+            predicted.append(Prediction.of(model.observe(frame.image, rng=rng)))
 
     walks = read_walks(data, reading, see=take, progress=lambda done: progress("reading images", done, None))
     images = posed_images(walks)
@@ -113,9 +103,9 @@ def inspect(
     camera = views.check(lambda done, total: progress("the camera", done, total))
     if model is not None:
         posed = np.concatenate([walk.posed for walk in walks])
-        predictions = Predictions.of(said, images.poses if images is not None else walks[0].poses, posed)
+        predictions = Predictions.of(predicted, images.poses if images is not None else walks[0].poses, posed)
         if predictions.foreign > _MOST and isinstance(model, VaporObservationModel):
-            predictions = replace(predictions, why_foreign=why_unrecognised(some, model.unfamiliarity))
+            predictions = replace(predictions, why_foreign=why_unrecognised(some.items, model.unfamiliarity))
     clocks = tuple(ImageClock.of(walk) for walk in walks)
     found = verdict(walks, coverage, odometry, clocks, predictions, camera)
     return Inspection(tuple(walks), coverage, odometry, clocks, camera, predictions, notices, found)

@@ -1,4 +1,4 @@
-"""The map of what was recorded: from above, a panel a floor, by how many passes each place was seen and from where."""
+"""The map of recordings from above, a panel a floor: passes near each place, and their directions."""
 
 from __future__ import annotations
 
@@ -7,12 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vapor.inspection.coverage import Coverage
-from vapor.inspection.plan import SECTORS
+from vapor.inspection.coverage import SECTORS, Coverage, height
 from vapor.inspection.predictions import Predictions
-from vapor.inspection.regions import height
-from vapor.reporting.colors import COLORS
-from vapor.reporting.drawing import new_figure, save_figure
+from vapor.reporting.drawing import COLORS, new_figure, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,15 +22,9 @@ _WRONG_M = (0.05, 3.0)  # of the colour scale of errors
 
 
 def draw_map(path: Path, coverage: Coverage, predictions: Predictions | None = None) -> Path:
-    """Draw the map, and beside it, with a model's predictions, where it errs and is ambiguous.
+    """Draw the map as PNG, and beside it, with a model's predictions, its errors and ambiguities.
 
-    Args:
-        path: The picture, PNG.
-        coverage: What images show.
-        predictions: What a model says of them.
-
-    Returns:
-        The picture; it appears under its name only when complete.
+    The picture appears under its name only when complete.
     """
     floors = coverage.floors()
     count = min(max(len(floors), 1), _MOST_FLOORS)
@@ -146,11 +137,12 @@ def _legend(figure: Figure, with_model: bool) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    said = ("1 pass", "2", "3", "4", "5 and more passes")
-    handles: list[Patch | Line2D] = [Patch(color=color, label=label) for color, label in zip(_SEEN, said, strict=True)]
+    labels = ("1 pass", "2", "3", "4", "5 and more passes")
+    handles: list[Patch | Line2D] = [
+        Patch(color=color, label=label) for color, label in zip(_SEEN, labels, strict=True)
+    ]
     handles.append(Line2D([], [], color="#000000", label="several passes look this way"))
-    only = Line2D([], [], color="#ffffff", label="one pass only does")
-    handles.append(only)
+    handles.append(Line2D([], [], color="#ffffff", label="one pass only does"))
     if with_model:
         ring = Line2D([], [], color=COLORS["other"], marker="o", linestyle="none", markerfacecolor="none")
         ring.set_label("ambiguous to the model")

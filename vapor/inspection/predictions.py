@@ -1,4 +1,4 @@
-"""What a model says of recorded images: where it is ambiguous, where it errs, and what it does not know."""
+"""Predictions of a model for recorded images: ambiguity, errors, and images that it does not know."""
 
 from __future__ import annotations
 
@@ -20,14 +20,11 @@ _LEAST_IMAGES = 3  # of a place that errs
 _WRONG_FRACTION = 0.5  # of its images
 
 
-class Said(NamedTuple):
-    """What is kept of one image's posterior.
+class Prediction(NamedTuple):
+    """Figures of one image's posterior.
 
-    Attributes:
-        places: How many places hold a tenth of the samples or more.
-        spread_m: Distance from the best place within which nine tenths of the samples are, metres.
-        best: world_from_camera of the place with most samples; None where there is no place.
-        unfamiliarity: 0 for an image that was trained on, above 1 for a foreign one.
+    The places hold at least a tenth of the samples each; the spread, metres, is the distance from the best place
+    (world_from_camera; None without a place) within which nine tenths of the samples are.
     """
 
     places: int
@@ -36,26 +33,21 @@ class Said(NamedTuple):
     unfamiliarity: float
 
     @staticmethod
-    def of(posterior: PosePosterior) -> Said:
+    def of(posterior: PosePosterior) -> Prediction:
         """The figures of one posterior."""
         best = posterior.means[int(np.argmax(posterior.weights))] if len(posterior.weights) else None
         centre = posterior.samples.translation.mean(axis=0) if best is None else best.translation
         apart_m = np.linalg.norm(posterior.samples.translation - centre, axis=1)
         places = int((posterior.weights >= _COUNTED).sum())
-        return Said(places, float(np.quantile(apart_m, _REACH)), best, posterior.unfamiliarity)
+        return Prediction(places, float(np.quantile(apart_m, _REACH)), best, posterior.unfamiliarity)
 
 
 @dataclass(frozen=True)
 class WeakPlace:
     """Images of a cell of the map, looking one way, most of which the model gets wrong.
 
-    Attributes:
-        position: Their middle, world, metres.
-        looking: Which way, in words.
-        images: How many.
-        median_m: Their median error, metres.
-        places: In how many places it thinks that they may be, median.
-        passes: How many passes show it.
+    The position is their middle in the world, metres; `places` is the median number of places that the model finds
+    possible, `passes` the number of passes that show it.
     """
 
     position: tuple[float, float, float]
@@ -76,17 +68,10 @@ class WeakPlace:
 
 @dataclass(frozen=True)
 class Predictions:
-    """What a model says of n images.
+    """Predictions of a model for n images, of which k have true poses (`posed`, (n,)).
 
-    Attributes:
-        places: In how many places each may be, (n,).
-        spread_m: How far the samples of each reach, metres, (n,).
-        unfamiliarity: (n,).
-        error_m: Of the best place, against the true poses of those k that have one, metres, (k,); NaN without a place.
-        right: Within 0.3 m and 20°, (k,).
-        posed: Which images have a true pose, (n,).
-        best: world_from_camera of the best place of those k; NaN without a place.
-        why_foreign: Why most images look unlike all that the model was trained on; empty where they do not.
+    Errors, metres, are of the best places (k,), and NaN without a place; `right` is within 0.3 m and 20°. Why most
+    images look unlike the training images stands in `why_foreign`, which is empty where they do not.
     """
 
     places: Int64[np.ndarray, " n"]
@@ -99,9 +84,9 @@ class Predictions:
     why_foreign: str = ""
 
     @staticmethod
-    def of(said: Sequence[Said], truth: Poses, posed: Bool[np.ndarray, " n"]) -> Predictions:
-        """What was said of images (n,), of which k have true poses."""
-        own = [each.best for each, known in zip(said, posed, strict=True) if known]
+    def of(predicted: Sequence[Prediction], truth: Poses, posed: Bool[np.ndarray, " n"]) -> Predictions:
+        """Compare predictions of images (n,) with the k true poses."""
+        own = [each.best for each, known in zip(predicted, posed, strict=True) if known]
         error_m, right = np.full(len(truth), np.nan), np.zeros(len(truth), bool)
         nowhere = Poses(np.full((3, 3), np.nan), np.full(3, np.nan))
         best = Poses.stack([nowhere if pose is None else pose for pose in own]) if own else truth
@@ -109,18 +94,12 @@ class Predictions:
         if known.any():
             error_m[known] = best[known].distance(truth[known])[0]
             right[known] = is_right(best[known], truth[known])
-        return Predictions(
-            np.array([each.places for each in said], np.int64),
-            np.array([each.spread_m for each in said]),
-            np.array([each.unfamiliarity for each in said]),
-            error_m,
-            right,
-            posed,
-            best,
-        )
+        places, spread_m, _, unfamiliarity = zip(*predicted, strict=True)
+        figures = np.array(places, np.int64), np.array(spread_m), np.array(unfamiliarity)
+        return Predictions(*figures, error_m, right, posed, best)
 
     def weak_places(self, coverage: Coverage) -> list[WeakPlace]:
-        """Where most images are wrong, from the most of them down."""
+        """Places where most images are wrong, from the most of them down."""
         passes = {
             (cell.floor, cell.column, cell.row, sector): number
             for cell in coverage.passes
@@ -155,7 +134,7 @@ class Predictions:
 
     @property
     def foreign(self) -> float:
-        """Fraction of the images that are taken for those of another place."""
+        """Fraction of the images that look like those of another place."""
         return float((self.unfamiliarity > 1.0).mean())
 
     def as_json(self, coverage: Coverage | None) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Recordings read for inspection: once, image by image, of which a few numbers each are kept."""
+"""Recordings read once for inspection; a few figures of each image are kept."""
 
 from __future__ import annotations
 
@@ -18,30 +18,24 @@ from sequences.frame import Frame
 from sequences.options import OdometryUse, SequenceOptions, TruePoseUse
 from sequences.reader import SequenceReader
 from sequences.reading.counts import ImageCounts
-from vapor.inspection.looks import Look, Looks, look_at
-from vapor.inspection.walk import Walk
+from vapor.inspection.walk import Look, Looks, Walk, look_at
 from vapor.training_data.colours import Colours
 from vapor.training_data.entries import name_entries
 from vapor.training_data.training_set import TrainingError, TrainingSet
 from vapor.training_data.views import Views
-
-See = Callable[[Frame], None]
 
 
 def read_walks(
     data: Sequence[Path | str],
     reading: SequenceOptions | None = None,
     *,
-    see: See = lambda frame: None,
+    see: Callable[[Frame], None] = lambda frame: None,
     progress: Callable[[int], None] = lambda done: None,
 ) -> list[Walk]:
     """Read recordings once, one image at a time.
 
-    Args:
-        data: Each `PATH` or `PATH@START:STOP`, as `train` takes them; true poses may be missing.
-        reading: What to read of recordings; None for all of it, as found.
-        see: Called with every frame, in order.
-        progress: Called with the number of images read so far.
+    Data are `PATH` or `PATH@START:STOP`, as `train` takes them; true poses may be missing. `see` is called with every
+    frame in order, `progress` with the number of images read so far.
 
     Raises:
         TrainingError: no data, a bad range, or a pose that is not finite.
@@ -67,10 +61,9 @@ def read_walks(
 
 
 class _Source:
-    """Where the frames of one entry come from: a recording, whose true poses may be missing, or images on disk.
+    """The frames of one entry: a recording, whose true poses may be missing, or images on disk.
 
-    Attributes:
-        counts, skipped, notices, assumed_hz, lacks, recorded: As of `Walk`; complete after `frames`.
+    Attributes are as of `Walk`, and complete after `frames`.
     """
 
     def __init__(self, path: Path, which: slice, reading: SequenceOptions | None) -> None:
@@ -118,7 +111,7 @@ class _Source:
         self.notices = [*reader.notices, *few]
 
     def _ask(self, what: str, *, odometry: OdometryUse, true_poses: TruePoseUse = "optional") -> None:
-        """Note why something is not found, where it is not."""
+        """Note why something is missing, if it is."""
         try:
             SequenceReader(self._path, self._reading, odometry=odometry, true_poses=true_poses)
         except SequenceError as error:
@@ -167,7 +160,7 @@ class _Part:
 
 
 def posed_images(walks: Sequence[Walk]) -> TrainingSet | None:
-    """What `train` would have of recordings, but for the pixels; None where no image has a true pose."""
+    """The images of recordings as `train` has them, without pixels; None where none has a true pose."""
     walks = [walk for walk in walks if len(walk.poses)]
     if not walks:
         return None

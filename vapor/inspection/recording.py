@@ -1,4 +1,4 @@
-"""What was recorded, in space, as a Rerun recording: cameras by how many passes show the same, images, predictions."""
+"""Recordings in space for Rerun: cameras by the number of passes that show the same, images, predictions."""
 
 from __future__ import annotations
 
@@ -13,10 +13,9 @@ from sequences.datasets.scene_points import ScenePoints
 from vapor.inspection.coverage import Coverage
 from vapor.inspection.predictions import Predictions
 from vapor.reporting.rerun_layout import log_legend, space_view, with_legend
-from vapor.reporting.rerun_photographs import Photographs
 from vapor.reporting.rerun_place import Place, log_cameras
 from vapor.reporting.rerun_recording import recorded
-from vapor.reporting.rerun_shapes import steps, thinned
+from vapor.reporting.rerun_shapes import Photograph, steps, thinned
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -37,19 +36,14 @@ _PATH = (105, 105, 112)
 def record_coverage(
     path: Path,
     coverage: Coverage,
-    photographs: Photographs,
+    photographs: Sequence[tuple[int, Photograph]],
     predictions: Predictions | None = None,
     *,
     points: Sequence[ScenePoints] = (),
 ) -> Path:
-    """Record where the cameras were, with some of their images, and with a model's predictions where it puts them.
+    """Record cameras, some of their images by number, points of the place, and the cameras as a model predicts them.
 
-    Args:
-        path: The recording, `.rrd`; it appears under its name only when complete.
-        coverage: What images show.
-        photographs: Some of these images.
-        predictions: What a model says of them.
-        points: Of the place, as each of the data sets has them.
+    The recording, `.rrd`, appears under its name only when complete.
 
     Raises:
         SequenceError, VaporTrackError: it cannot be written.
@@ -57,8 +51,8 @@ def record_coverage(
     import rerun as rr
 
     poses, names = coverage.images.poses, coverage.images.names
-    said = [] if predictions is None else [predictions.best[predictions.best.is_finite()]]
-    place = Place(Poses.concatenate([poses, *said]), "cameras")
+    predicted = [] if predictions is None else [predictions.best[predictions.best.is_finite()]]
+    place = Place(Poses.concatenate([poses, *predicted]), "cameras")
     colors = [color for _, color in _SHOWN.values()]
     shown = np.minimum(coverage.others, len(colors) - 1)
     title = names[0] if len(names) == 1 else f"{len(names)} recordings"
@@ -67,9 +61,9 @@ def record_coverage(
         stream.send_blueprint(with_legend(view, [], [], selection=True))
         place.log_up(stream)
         log_legend(stream, _legend(coverage, predictions is not None))
-        for number, said in enumerate(_SHOWN):
+        for number, passes in enumerate(_SHOWN):
             if (own := shown == number).any():
-                entity = f"world/cameras/{said.replace(' ', '_')}"
+                entity = f"world/cameras/{passes.replace(' ', '_')}"
                 log_cameras(stream, entity, poses[own], colors[number], size_m=place.small_camera_m)
         for number, name in enumerate(names):
             lines = steps(poses.translation[coverage.images.sequence == number])
@@ -79,7 +73,7 @@ def record_coverage(
             some = np.linspace(0, len(each) - 1, min(len(each), _POINTS)).round().astype(np.int64)
             cloud = rr.Points3D(each.positions[some], colors=each.colors[some], radii=rr.Radius.ui_points(1.0))
             stream.log(f"world/place/points/{number}", cloud, static=True)
-        for number, photograph in photographs.of_frame.items():
+        for number, photograph in photographs:
             where = f"world/images/{number}"
             photograph.log(stream, where, poses[number], color=colors[shown[number]], size_m=2 * place.small_camera_m)
         if predictions is not None:
@@ -88,7 +82,7 @@ def record_coverage(
 
 
 def _log_predictions(stream: rr.RecordingStream, coverage: Coverage, predictions: Predictions) -> None:
-    """Points where the model puts the cameras, and lines from some of them to where they were."""
+    """Cameras as points where the model predicts them, with lines from some to where they were."""
     import rerun as rr
 
     known = predictions.best.is_finite()
@@ -109,7 +103,7 @@ def _log_predictions(stream: rr.RecordingStream, coverage: Coverage, predictions
 
 def _legend(coverage: Coverage, with_model: bool) -> str:
     those = " (passes of one recording count as one)" if coverage.by_recordings else ""
-    cameras = ", ".join(f"**{name}** {said}" for said, (name, _) in _SHOWN.items())
+    cameras = ", ".join(f"**{name}** {passes}" for passes, (name, _) in _SHOWN.items())
     legend = f"cameras by how many passes show what they saw{those}: {cameras}; select an image to see it large"
     if with_model:
         legend += "  ·  the model's best place of each image: **green** right (within 0.3 m and 20°), **pink** wrong"

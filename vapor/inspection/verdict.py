@@ -1,4 +1,4 @@
-"""What to do about a recording before training on it, in sentences, the most important first."""
+"""Recommendations on recordings before training, as sentences, the most important first."""
 
 from __future__ import annotations
 
@@ -9,10 +9,9 @@ import numpy as np
 
 from vapor.inspection.camera import CameraCheck
 from vapor.inspection.clocks import ImageClock
-from vapor.inspection.coverage import Coverage
+from vapor.inspection.coverage import Coverage, height
 from vapor.inspection.odometry import OdometryCheck
 from vapor.inspection.predictions import Predictions
-from vapor.inspection.regions import Floor, height
 from vapor.inspection.walk import Walk
 from vapor.training_data.colours import said_of_colours
 from vapor.training_data.views import said_of_views
@@ -41,10 +40,12 @@ def verdict(
     predictions: Predictions | None,
     camera: CameraCheck | None = None,
 ) -> tuple[str, ...]:
-    """Sentences, each with what to do; one that says that it is good enough where there is nothing."""
+    """Sentences with recommendations, or the one that recordings are good enough."""
     found = [*_useless(walks, coverage), *_clocks(odometry, clocks), *_views(walks, odometry, clocks, camera)]
     if odometry is not None:
-        found += _odometry(odometry, any(_poses_are_named(walk) for walk in walks))
+        # Images show already which of poses and odometry is turned or left-handed, where one of both agrees with them.
+        sides = [{check.is_right for check in walk.views if check.orientations} for walk in walks]
+        found += _odometry(odometry, is_named=any(len(of_walk) == 2 for of_walk in sides))
     if coverage is not None:
         found += _coverage(coverage)
     for walk in walks:
@@ -61,7 +62,6 @@ def verdict(
 
 
 def _useless(walks: Sequence[Walk], coverage: Coverage | None) -> Iterator[str]:
-    """What makes training useless."""
     for walk in walks:
         if walk.looks.repeated[1:].all() and len(walk) > 1:
             yield f"record {walk.name} again: its {len(walk)} images are all one and the same"
@@ -72,7 +72,7 @@ def _useless(walks: Sequence[Walk], coverage: Coverage | None) -> Iterator[str]:
         return
     count, poses = len(coverage.images), coverage.images.poses
     if count < _FEW_IMAGES:
-        yield f"record more: {_images_said(count)} with true poses, expected some hundreds at least"
+        yield f"record more: {_count_images(count)} with true poses, expected some hundreds at least"
     moved_m, turned = poses.distance(poses[0])
     if count > 1 and moved_m.max() < _STANDS_M and turned.max() < _STANDS_RAD:
         yield (
@@ -82,24 +82,21 @@ def _useless(walks: Sequence[Walk], coverage: Coverage | None) -> Iterator[str]:
 
 
 def _views(
-    walks: Sequence[Walk],
-    odometry: OdometryCheck | None,
-    clocks: Sequence[ImageClock],
-    camera: CameraCheck | None,
+    walks: Sequence[Walk], odometry: OdometryCheck | None, clocks: Sequence[ImageClock], camera: CameraCheck | None
 ) -> Iterator[str]:
-    """Images and poses that contradict each other, and colours that do."""
-    is_told = camera is not None and camera.disagrees and camera.of_all  # of focal lengths, and better
+    """Contradictions of images, poses and colours."""
+    has_focal = camera is not None and camera.disagrees and camera.of_all  # a better sentence on focal lengths follows
     explained = {clock.name for clock in clocks if clock.as_stated and abs(clock.late_ms or 0.0) >= _IMAGES_LATE_MS}
-    units_are_told = odometry is not None and odometry.axes is not None and odometry.axes.unit is not None
+    has_units = odometry is not None and odometry.axes is not None and odometry.axes.unit is not None
     for walk in walks:
-        own = [replace(check, focal=None) for check in walk.views] if is_told else walk.views
+        own = [replace(check, focal=None) for check in walk.views] if has_focal else walk.views
         if walk.name in explained:
             views = [check for check in own if check.orientations]  # others agree once clocks do
             yield from (f"or else, with clocks as they are: {each}" for each in said_of_views(walk.name, views))
         else:
             yield from said_of_views(walk.name, own)
         speed = walk.speed_m_per_s
-        if speed is not None and speed > _TOO_FAST_M_PER_S and not units_are_told:
+        if speed is not None and speed > _TOO_FAST_M_PER_S and not has_units:
             yield (
                 f"check the unit of the poses of {walk.name}: the camera moves at {speed:.3g} m/s in the median; are"
                 " they in millimetres?"
@@ -108,7 +105,7 @@ def _views(
 
 
 def _clocks(odometry: OdometryCheck | None, clocks: Sequence[ImageClock]) -> Iterator[str]:
-    """Clocks that are off, before what else is wrong: that may come of it."""
+    """Clocks come first: other faults may follow from them."""
     late_ms = None if odometry is None else odometry.typical_late_ms
     if late_ms is not None and abs(late_ms) >= _LATE_MS:
         yield (
@@ -127,28 +124,23 @@ def _late_said(late_ms: float) -> str:
     return f"{abs(late_ms):.0f} ms {'late' if late_ms > 0 else 'early'}"
 
 
-def _poses_are_named(walk: Walk) -> bool:
-    """Whether images tell already which poses are turned or left-handed."""
-    return len({check.is_right for check in walk.views if check.orientations}) == 2
-
-
-def _odometry(check: OdometryCheck, is_named: bool) -> Iterator[str]:
+def _odometry(check: OdometryCheck, *, is_named: bool) -> Iterator[str]:
     axes, fit = check.axes, check.fit
-    if is_named:
+    if is_named or axes is None:
         pass
-    elif axes is not None and axes.mirrored:
+    elif axes.mirrored:
         yield (
             "check odometry and true poses: one of them is left-handed, their motions are each other's mirror images"
             f" (correlation {axes.correlation_mirrored:.2f}, as they are {axes.correlation:.2f})"
         )
-    elif axes is not None and axes.swapped:
-        yield f"check the extrinsics (tf, --base-from-camera): {axes.said()}"
-    elif axes is not None and axes.tilted:
+    elif axes.swapped:
+        yield f"check the extrinsics (tf, --base-from-camera): {axes.in_words()}"
+    elif axes.tilted:
         yield (
             f"check the extrinsics (tf, --base-from-camera): odometry moves as if the camera were turned by"
             f" {np.degrees(axes.off_rad):.0f}° on its base, against the true poses"
         )
-    elif axes is not None and axes.unlike:
+    elif axes.unlike:
         yield (
             f"check odometry and true poses: their motions have little in common (correlation {axes.correlation:.2f}),"
             " whichever way the axes are turned"
@@ -187,26 +179,18 @@ def _coverage(coverage: Coverage) -> Iterator[str]:
                 f"record {name} in another walk: of the {len(floor.names)} recordings that come there"
                 f" {floor.trained or 'none'} would be trained on"
             )
-        elif _scarce(floor, floors):
-            yield f"record more of {name}: it has {_images_said(floor.images)} of {len(coverage.images)}{_late(floor)}"
+        elif floor.images < _SCARCE * sum(each.images for each in floors) / len(floors):
+            late = ""
+            if floor.late is not None:
+                one = len(floor.names) == 1
+                who = f"{floor.names[0]} comes" if one else f"all {len(floor.names)} recordings that do come"
+                late = f", and {who} there only in the last {100 * floor.late:.0f} %"
+            yield f"record more of {name}: it has {_count_images(floor.images)} of {len(coverage.images)}{late}"
     alone = float((coverage.others == 0).mean())
     segments = [segment for segment in coverage.alone() if segment.floor not in named]
     if alone > _ALONE and segments:
-        more = f"; and {len(segments) - _NAMED} more" if len(segments) > _NAMED else ""
-        first = "; ".join(map(str, segments[:_NAMED]))
         whose = "no other recording shows" if coverage.by_recordings else "no other pass shows"
-        yield f"record again what {whose}, {100 * alone:.0f} % of the images: {first}{more}"
-
-
-def _scarce(floor: Floor, floors: Sequence[Floor]) -> bool:
-    return floor.images < _SCARCE * sum(each.images for each in floors) / len(floors)
-
-
-def _late(floor: Floor) -> str:
-    if floor.late is None:
-        return ""
-    who = floor.names[0] if len(floor.names) == 1 else f"all {len(floor.names)} recordings that do"
-    return f", and {who} come{'s' if len(floor.names) == 1 else ''} there only in the last {100 * floor.late:.0f} %"
+        yield f"record again what {whose}, {100 * alone:.0f} % of the images: {_first(segments)}"
 
 
 def _images(walk: Walk) -> Iterator[str]:
@@ -242,7 +226,7 @@ def _images(walk: Walk) -> Iterator[str]:
 
 
 def _without(walks: Sequence[Walk]) -> Iterator[str]:
-    """What is missing, which training can do without."""
+    """Odometry is not needed for training."""
     lacking = [walk for walk in walks if walk.recorded and not any(step is not None for step in walk.odometry)]
     if lacking:
         who = lacking[0].name if len(lacking) == 1 else f"{len(lacking)} of {len(walks)} recordings"
@@ -256,12 +240,16 @@ def _without(walks: Sequence[Walk]) -> Iterator[str]:
 def _model(coverage: Coverage, predictions: Predictions) -> Iterator[str]:
     weak = [place for place in predictions.weak_places(coverage) if place.passes == 1 or place.places <= 1]
     if weak:
-        more = f"; and {len(weak) - _NAMED} more" if len(weak) > _NAMED else ""
-        yield f"another walk should show, as the model errs there: {'; '.join(map(str, weak[:_NAMED]))}{more}"
+        yield f"another walk should show, as the model errs there: {_first(weak)}"
     if predictions.foreign > _UNKNOWN:
         unlike = f"{100 * predictions.foreign:.0f} % of the images look unlike all that the model was trained on"
         yield f"{unlike}: {predictions.why_foreign}" if predictions.why_foreign else f"train on more of this: {unlike}"
 
 
-def _images_said(count: int) -> str:
+def _first(items: Sequence[object]) -> str:
+    more = f"; and {len(items) - _NAMED} more" if len(items) > _NAMED else ""
+    return "; ".join(map(str, items[:_NAMED])) + more
+
+
+def _count_images(count: int) -> str:
     return "1 image" if count == 1 else f"{count} images"

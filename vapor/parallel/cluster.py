@@ -1,26 +1,135 @@
-"""The workers of a Dask scheduler: which they are, and one function over many jobs on them."""
+"""The workers of a Dask scheduler: their versions, and one function over many jobs on them."""
 
 from __future__ import annotations
 
 import asyncio
+import importlib.metadata
+import io
 import os
+import pickle
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
+
+from threadpoolctl import threadpool_limits
 
 from filtering.errors import VaporTrackError
 from sequences.atomic import workspace
-from vapor.parallel.worker import About, Done, Failed, Refused, about_this, do, packed
+from vapor.cache import code_digest
+from vapor.storage import local_path, url_of
 
 if TYPE_CHECKING:
     from distributed import Future
 
+_PACKAGE = Path(__file__).resolve().parents[1]
+
+
+@dataclass(frozen=True)
+class About:
+    """Version of this package in a process, digest of its code, and number of jobs that it does at a time."""
+
+    version: str
+    code: str
+    threads: int = 1
+
+    def __str__(self) -> str:
+        return f"vapor-track {self.version} with code {self.code} and {self.threads} thread{'s' * (self.threads != 1)}"
+
+
+@dataclass(frozen=True)
+class Done:
+    """A job that was done, and its result."""
+
+    result: Any
+
+
+@dataclass(frozen=True)
+class Failed:
+    """A job that could not be done: address of its worker, and the error."""
+
+    error: str
+
+
+@dataclass(frozen=True)
+class Refused:
+    """A job that was not begun, as the worker runs another version."""
+
+    worker: str
+    about: About
+
+
+def about_this(dask_worker: Any = None) -> About:
+    """This process; Dask passes its worker as `dask_worker`, which has the threads."""
+    threads = 1 if dask_worker is None else dask_worker.state.nthreads
+    return About(importlib.metadata.version("vapor-track"), code_digest("sequences", "vapor"), threads)
+
+
+def packed(function: Callable[..., Any], job: tuple) -> bytes:
+    """A function and its arguments for another machine: there paths mean the same as here.
+
+    Paths of models that ship lead to the package there, copies of files in storage to copies there; all others are made
+    absolute.
+    """
+    out = io.BytesIO()
+    _Packer(out).dump((function, job))
+    return out.getvalue()
+
+
+def do(content: bytes, expected: About) -> Done | Failed | Refused:
+    """Do a packed job, if this process is what was expected."""
+    from distributed import get_worker
+
+    worker = get_worker()
+    about, address = about_this(worker), worker.address
+    if about != expected:
+        return Refused(address, about)
+    try:
+        function, job = pickle.loads(content)
+        with _one_thread():
+            return Done(function(*job))
+    except VaporTrackError as error:
+        return Failed(f"{address}: {error}")
+    except OSError as error:
+        return Failed(f"{address}: {error.filename or 'file'}: {error.strerror or error}")
+    except MemoryError:
+        return Failed(f"{address}: not enough memory")
+
+
+class _Packer(pickle.Pickler):
+    def reducer_override(self, value: Any) -> Any:
+        if not isinstance(value, Path):
+            return NotImplemented
+        if (url := url_of(value)) is not None:
+            return _unpacked, ("url", url)
+        path = value.absolute()
+        if path.is_relative_to(_PACKAGE / "models"):
+            return _unpacked, ("package", str(path.relative_to(_PACKAGE)))
+        return _unpacked, ("path", str(path))
+
+
+def _unpacked(kind: Literal["url", "package", "path"], text: str) -> Path:
+    return local_path(text) if kind == "url" else _PACKAGE / text if kind == "package" else Path(text)
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    if "torch" not in sys.modules:  # the function does not need it, and loading it takes seconds
+        with threadpool_limits(1):
+            yield
+        return
+    from vapor.threads import limited_threads
+
+    with limited_threads(1):
+        yield
+
+
 Result = TypeVar("Result")
 
 _PATIENCE_S = 10.0
-_GONE = "what is done stays; jobs that workers are at go on to their end"
+_GONE = "finished jobs stay; running ones go on to their end"
 
 
 class ClusterError(VaporTrackError):
@@ -29,13 +138,7 @@ class ClusterError(VaporTrackError):
 
 @dataclass(frozen=True)
 class Cluster:
-    """The workers of a scheduler, from `connected`.
-
-    Attributes:
-        address: Of the scheduler.
-        client: Connected to it; a `Client` of Dask, whose answers have other types where it is asynchronous.
-        expected: What every worker must say of itself.
-    """
+    """The workers of a scheduler, from `connected`: its address, a `Client` of Dask, and their expected version."""
 
     address: str
     client: Any
@@ -43,7 +146,7 @@ class Cluster:
 
     @property
     def dashboard(self) -> str | None:
-        """Where a browser sees what the workers do; None where the scheduler serves none."""
+        """URL of the scheduler's page; None where it serves none."""
         return self.client.dashboard_link if "dashboard" in self.client.scheduler_info()["services"] else None
 
     @property
@@ -52,11 +155,7 @@ class Cluster:
         return len(self.client.nthreads())
 
     def require_to_see(self, folder: Path) -> None:
-        """Check that a folder is there for all workers now, by one that is made in it.
-
-        Raises:
-            ClusterError: it is not; names a worker.
-        """
+        """Raise ClusterError where a worker does not see a folder, by one that is made in it."""
         with workspace(folder, "seen") as made:
             found = self.client.run(os.path.isdir, str(made.absolute()))
         for worker in (worker for worker, seen in found.items() if not seen):
@@ -65,9 +164,9 @@ class Cluster:
     def results(self, function: Callable[..., Result], jobs: Sequence[tuple]) -> Iterator[Result]:
         """The result of `function(*job)` for every job, as each finishes, in no order.
 
-        Jobs travel with their paths made absolute (`worker.packed`). Those of a worker that dies are done by others. A
-        job that fails for its input or for a full disk keeps no other from being done. What is queued is cancelled when
-        no more results are asked for, as after Ctrl-C; what is being done then goes on to its end.
+        Jobs travel as `packed`. Those of a worker that dies are done by others. A job that fails for its input or for a
+        full disk does not stop the others. Queued jobs are cancelled when no more results are asked for, as after
+        Ctrl-C; running ones go on to their end.
 
         Raises:
             ClusterError: in the end, some failed; at once, a worker that joined is of another version, or the scheduler
@@ -89,7 +188,7 @@ class Cluster:
                 self.client.cancel([future for future in submitted if not future.done()], force=True)
         if failed:
             others = "" if len(failed) == len(jobs) else ", the others are done"
-            raise ClusterError(f"{len(failed)} of {len(jobs)} jobs failed{others}; worker {failed[0]}")
+            raise ClusterError(f"{len(failed)} of {len(jobs)} jobs failed{others}; worker {failed[0].error}")
 
     def _outcome(self, future: Future) -> Done | Failed:
         from distributed import KilledWorker
@@ -99,8 +198,8 @@ class Cluster:
             raise ClusterError(f"{self.address}: the scheduler went away; {_GONE}")
         if isinstance(error, KilledWorker):
             tries = error.allowed_failures + 1
-            what = f"died in this job as {tries - 1} others did before, perhaps for lack of memory"
-            return Failed(error.last_worker.address, what)
+            died = f"died in this job as {tries - 1} others did before, perhaps for lack of memory"
+            return Failed(f"{error.last_worker.address}: {died}")
         if error is not None:
             raise error
         outcome = future.result()
@@ -118,8 +217,8 @@ def connected(address: str, tell: Callable[[str], None]) -> Iterator[Cluster]:
         tell: Called with a line on every worker that dies.
 
     Raises:
-        ClusterError: Dask is not installed, no scheduler answers within ten seconds, or workers that are no copies of
-            this program, with one thread each. (Those that come later are checked when they get their first job.)
+        ClusterError: Dask is not installed, no scheduler answers within ten seconds, or a worker has another version or
+            several threads. (Workers that join later are checked with their first job.)
     """
     try:
         from distributed import Client
@@ -132,7 +231,7 @@ def connected(address: str, tell: Callable[[str], None]) -> Iterator[Cluster]:
         reason = " ".join(str(error).split()) or f"no answer within {_PATIENCE_S:g} s"
         raise ClusterError(f"{address}: {reason}; expected a Dask scheduler, such as tcp://host:8786") from error
 
-    def told(event: tuple[float, Any]) -> None:
+    def report(event: tuple[float, Any]) -> None:
         about = event[1]
         if isinstance(about, dict) and about.get("action") == "remove-worker" and not about.get("expected"):
             tell(f"worker {about['worker']} went away; what it was doing is done again by others")
@@ -143,7 +242,7 @@ def connected(address: str, tell: Callable[[str], None]) -> Iterator[Cluster]:
         others = {worker: about for worker, about in found.items() if about != expected}
         if others:
             raise ClusterError(_refusal(others, expected))
-        client.subscribe_topic("all", told)
+        client.subscribe_topic("all", report)
         yield Cluster(address, client, expected)
         if client.status == "running":
             client.unsubscribe_topic("all")
@@ -152,7 +251,7 @@ def connected(address: str, tell: Callable[[str], None]) -> Iterator[Cluster]:
 
 
 async def _ask(address: str) -> None:
-    """Let a scheduler answer: `Client` waits for ever for what is none, and takes long to give up a wrong address."""
+    # `Client` would wait forever for a server that is no scheduler, and long for a wrong address.
     from distributed.core import rpc
     from distributed.security import Security
 
@@ -162,7 +261,6 @@ async def _ask(address: str) -> None:
 
 
 def _refusal(others: dict[str, Any], expected: About) -> str:
-    """What is wrong with some workers, the first of them in full."""
     worker, about = next(iter(others.items()))
     found = about if isinstance(about, About) else f"another vapor-track, or none ({' '.join(str(about).split())})"
     more = f"; so have {len(others) - 1} more" if len(others) > 1 else ""

@@ -1,8 +1,9 @@
-"""Many recorded sequences, one run each with one model, and what came of each."""
+"""Many recorded sequences, one run each with one model."""
 
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache, partial
@@ -18,38 +19,100 @@ from sequences.options import SequenceOptions
 from sequences.outputs.claims import refuse_other
 from sequences.outputs.folders import folder_to_write
 from sequences.outputs.results import require_replaceable
+from sequences.recordings.recording_file import SUFFIXES
 from vapor.parallel.jobs import Workers, in_parallel
 from vapor.pipeline.config import RunConfig
-from vapor.pipeline.find_sequences import SUMMARY
 from vapor.pipeline.model import LoadedModel, load_model
 from vapor.pipeline.results import RESULTS, RunResult
 from vapor.pipeline.run import files_read, run
 from vapor.reporting.report import is_report
-from vapor.storage import fetched, url_of
+from vapor.storage import fetched, listed, url_of
 
 if TYPE_CHECKING:
     from rich.table import Table
 
+SUMMARY = "summary.json"
+"""Name of the file on the results of many sequences, beside these."""
+
+
+def is_fleet(paths: Sequence[Path]) -> bool:
+    """Whether there are several paths, or one folder to search."""
+    return len(paths) > 1 or (len(paths) == 1 and _found_in(paths[0]) not in ([], list(paths)))
+
+
+def find_sequences(paths: Sequence[Path], output: Path) -> dict[str, Path]:
+    """Sequences by the names of their results, in order.
+
+    A file or a rosbag2 folder is a sequence. Any other folder stands for all recordings below it but for results of
+    earlier runs; an empty one stands for itself, and fails when it is opened. A sequence found twice is listed once. A
+    name is that of the file or folder, preceded by folders above it where others have it too. Copies of files in
+    storage are found there, and not made.
+    """
+    found: dict[Path, Path] = {}
+    for path in paths:
+        for sequence in _found_in(path, leave_out=output.absolute()) or [path]:
+            found.setdefault(sequence.resolve(), sequence)
+    return dict(zip(unique_names(list(found)), found.values(), strict=True))
+
+
+def _found_in(path: Path, leave_out: Path | None = None) -> list[Path]:
+    if url_of(path) is not None:
+        return _found_in_storage(path)
+    if not path.is_dir() or (path / "metadata.yaml").is_file():
+        return [path]
+    sequences: list[Path] = []
+    for entry in sorted(path.iterdir()):
+        if entry.name.startswith(".") or entry.absolute() == leave_out:
+            continue
+        if entry.is_dir() and (
+            not entry.is_symlink() or (entry / "metadata.yaml").is_file()
+        ):  # links may run in circles
+            sequences += _found_in(entry, leave_out)
+        elif entry.suffix in SUFFIXES and entry.is_file():
+            is_result = entry.name == "estimate.mcap" and entry.with_name("report.json").is_file()
+            sequences += [] if is_result else [entry]
+    return sequences
+
+
+def _found_in_storage(path: Path) -> list[Path]:
+    files = listed(path)
+    bags = {file.parent for file in files if file.name == "metadata.yaml"}
+    if path in bags or path in files or not files:
+        return [path]
+    results = {file.with_name("estimate.mcap") for file in files if file.name == "report.json"}
+    single = {file for file in files if file.suffix in SUFFIXES and bags.isdisjoint(file.parents)}
+    return sorted(bags | single - results)
+
+
+def unique_names(sequences: Sequence[Path]) -> list[str]:
+    """The shortest distinct names of sequences; numbered where whole paths are alike, as with `a.mcap` and `a/`."""
+    parts = [(*path.parent.parts[1:], path.stem if path.suffix in SUFFIXES else path.name) for path in sequences]
+    lengths = [1] * len(parts)
+    while True:
+        names = ["-".join(part[-length:]) for part, length in zip(parts, lengths, strict=True)]
+        counts = Counter(name.casefold() for name in [*names, SUMMARY])
+        longer = [
+            min(length + (counts[name.casefold()] > 1), len(part))
+            for name, length, part in zip(names, lengths, parts, strict=True)
+        ]
+        if longer == lengths:
+            break
+        lengths = longer
+    taken: Counter[str] = Counter()
+    for i, name in enumerate(names):
+        taken[name.casefold()] += 1
+        if counts[name.casefold()] > 1:
+            names[i] = f"{name}-{taken[name.casefold()]}"
+    return names
+
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of one sequence: figures, or the error that kept it from being localized.
+    """The result of one sequence, by the name of its folder: figures, or an error.
 
-    Attributes:
-        name: Name of its folder among the results.
-        sequence: Path of the sequence.
-        error: Why there are no figures; None where there are.
-        images: Images localized.
-        duration_s: From the first to the last of them.
-        status: Fraction of the images by status.
-        final_status: Status of the last image.
-        images_with_true_pose: How many have one.
-        median_translation_m: Median error of the filter; None without true poses, like the next two.
-        median_rotation_deg: Median error of the filter.
-        success: Whether the filter found the place, and kept it.
-        skipped: Images and messages left out, by reason.
-        few_images: A sentence where fewer than half of the images were used.
-        notices: What a person should know of the sequence.
+    Without true poses the median errors of the filter, and `success` (whether it found the place, and kept it), are
+    None. `status` has fractions of the images; `few_images` is a sentence where fewer than half of the images were
+    used.
     """
 
     name: str
@@ -80,26 +143,18 @@ def run_fleet(
     workers: Workers | None = None,
     command: str = "",
 ) -> Iterator[Outcome]:
-    """Localize many sequences; each has the results that it would have alone.
+    """Localize many sequences, by the names of their results; each has the results that it would have alone.
 
-    Args:
-        sequences: Paths of the sequences, by the names of their results.
-        model: Model file, or name of a model that ships with the package; each process loads it once.
-        output: Directory for the results: a folder for each sequence, and `summary.json` on those done so far.
-        config: Settings of every run.
-        reading: What to read of every sequence.
-        overwrite: See `run`; it applies to the folder of each sequence, and to `summary.json`.
-        progress: Called after every image with the name of the sequence, the number done and an upper bound of all; not
-            of those that other processes localize.
-        workers: Where they are localized; None for one after the other here.
-        command: See `run`.
+    The output gets a folder for each sequence, and `summary.json` on those done so far. Each process loads the model
+    once. Progress has the name of a sequence, the images done and an upper bound of all; sequences that other processes
+    localize have none. Without workers they are localized one after the other here. Other arguments are as of `run`.
 
     Yields:
-        What came of each, when it is done: in the order of the sequences where it is one after the other. A sequence
-        that cannot be used does not keep the others from being localized.
+        The result of each when it is done, in order without other processes. A sequence that cannot be used does not
+        stop the others.
 
     Raises:
-        VaporTrackError: unusable model or output, or one that workers do not see; with the first sequence.
+        VaporTrackError: unusable model or output, or an output that workers do not see; with the first sequence.
     """
     config, workers = config or RunConfig(), workers or Workers()
     folder_to_write(output)
@@ -107,22 +162,18 @@ def run_fleet(
     reads = list({path: None for sequence in sequences.values() for path in files_read(sequence, loaded, reading)})
     for name in sequences:
         require_replaceable(output / name, RESULTS, reads, overwrite=overwrite)
-    refuse_other(output / SUMMARY, "summary of a fleet", _is_summary, reads=reads, overwrite=overwrite)
+    is_summary = partial(is_report, keys=("sequences_in_all",))
+    refuse_other(output / SUMMARY, "summary of a fleet", is_summary, reads=reads, overwrite=overwrite)
     try:
         output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise VaporTrackError(f"{output}: cannot write: {error.strerror or error}") from error
     workers.require_to_see(output)
-    here = partial(_localized, model=loaded, progress=progress, command=command)
-    there = partial(
-        _localized_elsewhere,
-        file=loaded.file,
-        model=loaded.name,
-        sha256=loaded.sha256,
-        told=workers.cluster is not None,
-        command=command,
-    )
-    jobs = [(name, sequence, output / name, config, reading, overwrite) for name, sequence in sequences.items()]
+    localized = partial(_localized, config=config, reading=reading, overwrite=overwrite, command=command)
+    here = partial(localized, model=loaded, progress=progress)
+    stated = {"file": loaded.file, "model": loaded.name, "sha256": loaded.sha256, "config": config}
+    there = partial(_localized_elsewhere, localized, stated, workers.cluster is not None)
+    jobs = [(name, sequence, output / name) for name, sequence in sequences.items()]
     done: dict[str, Outcome] = {}
     for outcome in in_parallel(here if workers.are_this_process else there, jobs, workers):
         sequence = sequences[outcome.name]
@@ -136,10 +187,10 @@ def _localized(
     name: str,
     sequence: Path,
     output: Path,
+    *,
     config: RunConfig,
     reading: SequenceOptions | None,
     overwrite: bool,
-    *,
     model: LoadedModel,
     command: str,
     progress: Callable[[str, int, int], None] | None = None,
@@ -147,39 +198,25 @@ def _localized(
     advance = None if progress is None else partial(progress, name)
     options = {"reading": reading, "overwrite": overwrite, "progress": advance, "command": command}
     try:
-        result = run(fetched(sequence), model, output, config, **options)
-        return _outcome(name, sequence, result)
+        return _outcome(name, sequence, run(fetched(sequence), model, output, config, **options))
     except (VaporTrackError, OSError) as error:
         return Outcome(name, str(sequence), error=" ".join(str(error).splitlines()))
 
 
 def _localized_elsewhere(
-    name: str,
-    sequence: Path,
-    output: Path,
-    config: RunConfig,
-    reading: SequenceOptions | None,
-    overwrite: bool,
-    *,
-    file: Path,
-    model: str,
-    sha256: str,
-    told: bool,
-    command: str,
+    localized: Callable[..., Outcome], stated: dict[str, Any], on_cluster: bool, name: str, sequence: Path, output: Path
 ) -> Outcome:
-    """As `_localized` in another process; on `told`, an error names the machine."""
-    loaded = _loaded_once(file, model, sha256, config)
-    outcome = _localized(name, sequence, output, config, reading, overwrite, model=loaded, command=command)
-    return replace(outcome, error=f"{outcome.error} (on {node()})") if told and outcome.error else outcome
+    """As `_localized` in another process, which loads the model; on a cluster an error names the machine."""
+    outcome = localized(name, sequence, output, model=_loaded_once(**stated))
+    return replace(outcome, error=f"{outcome.error} (on {node()})") if on_cluster and outcome.error else outcome
 
 
 @lru_cache(maxsize=1)
-def _loaded_once(file: Path, name: str, sha256: str, config: RunConfig) -> LoadedModel:
-    """The model under the name that it was asked for by, the same in every process."""
+def _loaded_once(file: Path, model: str, sha256: str, config: RunConfig) -> LoadedModel:
     loaded = load_model(str(fetched(file)), config)
     if loaded.sha256 != sha256:
         raise VaporTrackError(f"{file}: is another model than where the run was started, expected the same")
-    return replace(loaded, name=name)
+    return replace(loaded, name=model)
 
 
 def _outcome(name: str, sequence: Path, result: RunResult) -> Outcome:
@@ -203,7 +240,7 @@ def _outcome(name: str, sequence: Path, result: RunResult) -> Outcome:
 
 
 def total(outcomes: Sequence[Outcome]) -> dict[str, Any]:
-    """What sequences add up to: fractions are of all images, the median is that of the sequences' medians."""
+    """Sums over sequences: fractions are of all images, the median is that of the sequences' medians."""
     images = sum(outcome.images for outcome in outcomes)
     converged = sum(outcome.images * outcome.status.get("converged", 0.0) for outcome in outcomes)
     medians = [outcome.median_translation_m for outcome in outcomes if outcome.median_translation_m is not None]
@@ -217,10 +254,6 @@ def total(outcomes: Sequence[Outcome]) -> dict[str, Any]:
         "judged": len(successes),
         "successes": sum(successes),
     }
-
-
-def _is_summary(path: Path) -> bool:
-    return is_report(path, "sequences_in_all")
 
 
 def _write_summary(file: Path, model: str, outcomes: Sequence[Outcome], *, of: int) -> None:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import sys
 import time
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
 from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
@@ -21,8 +24,6 @@ from filtering.smoothing import agreement
 from sequences.estimates.sequence import EstimateSequence
 from sequences.odometry_fit.result import OdometryFit
 from sequences.reader import SequenceReader
-from sequences.recordings.estimate_messages import PUBLISHED_PARTICLES
-from vapor.pipeline.ahead import ahead
 from vapor.pipeline.config import FilteringConfig
 from vapor.reporting.record import RunRecord
 from vapor.reporting.rerun_place import Place
@@ -30,6 +31,37 @@ from vapor.reporting.run_outputs import RunOutputs
 from vapor.tracking.history import History
 from vapor.tracking.loop import Baselines, StepLoop
 from vapor.tracking.methods import poses_at_end, start_baselines
+
+Item = TypeVar("Item")
+
+_ROOM = 2  # items that wait at most; one more is being computed
+_TURN_S = 2e-4  # between threads: Python's 5 ms are as long as the network takes for an image
+
+
+@contextmanager
+def ahead(items: Iterable[Item]) -> Iterator[Iterator[Item]]:
+    """The same items in the same order, computed in a thread while those before are in use.
+
+    An error comes in the place of the item that it kept from being computed. The thread has ended at the end of the
+    block, however that ends.
+    """
+    source, end = (item for item in items), object()
+    turn_s = sys.getswitchinterval()
+    sys.setswitchinterval(min(turn_s, _TURN_S))
+    thread = ThreadPoolExecutor(1)
+    waiting = deque(thread.submit(next, source, end) for _ in range(_ROOM + 1))
+
+    def computed() -> Iterator[Item]:
+        while (item := waiting.popleft().result()) is not end:
+            yield cast(Item, item)
+            waiting.append(thread.submit(next, source, end))
+
+    try:
+        yield computed()
+    finally:
+        thread.shutdown(cancel_futures=True)
+        source.close()
+        sys.setswitchinterval(turn_s)
 
 
 def localize(
@@ -46,23 +78,23 @@ def localize(
     allow_few_images: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> RunRecord:
-    """Localize frame after frame, show and write each; then smooth, and show that.
+    """Localize frame after frame, show and write each; then smooth.
 
     Args:
         source: The frames.
-        model: Maps what was observed to its posterior.
+        model: Maps an observation to its posterior.
         directory: Where `estimate.mcap` and `recording.rrd` go.
         config: Settings.
         errors: How the model's posteriors err.
-        observed: Takes from a frame what the model is to see.
-        odometry_fit: How wrong the odometry is; None for what the frames state and the settings assume.
+        observed: The observation of a frame.
+        odometry_fit: Errors of the odometry; None for those that frames and settings state.
         floors: Of the building, where there are several.
         place: Where it happens, for the viewer.
-        allow_few_images: Go on also where fewer than one in ten of the images asked for were used.
+        allow_few_images: Whether fewer than one in ten of the images asked for are enough.
         progress: Called after every frame with the number done and an upper bound of all.
 
     Raises:
-        VaporTrackError: unusable frames, none, or fewer than one in ten of those asked for.
+        VaporTrackError: unusable frames, none, or too few.
     """
     settings = config.localizer
     if odometry_fit is not None:
@@ -81,15 +113,8 @@ def localize(
             yield frame, posterior, 1e3 * (time.perf_counter() - begin)
 
     # An image is read and seen by the network while the filter has the one before.
-    outputs_of_run = RunOutputs(
-        Baselines(start_baselines(settings, lambda: np.random.default_rng(config.seed))),
-        directory,
-        recording=config.recording,
-        view=config.view,
-        particles=PUBLISHED_PARTICLES,
-        place=place,
-    )
-    with outputs_of_run as outputs:
+    baselines = Baselines(start_baselines(settings, lambda: np.random.default_rng(config.seed)))
+    with RunOutputs(baselines, directory, recording=config.recording, view=config.view, place=place) as outputs:
         with ahead(source) as frames, ahead(posteriors(frames)) as observations:
             for number, (frame, posterior, observe_ms) in enumerate(observations, start=1):
                 if frame.odometry is not None and odometry_fit is not None:
@@ -110,16 +135,17 @@ def localize(
             )
         at_end = poses_at_end(history, errors, settings) if history.evidence else {}
         record = outputs.record(skipped=source.skipped, images=source.counts, at_end=at_end)
-    if floors is not None:
-        record = replace(record, floors=floors, floor_belief=np.stack(on_floors))
-    record = replace(record, verified=None if errors.verified is None else verified)
-    fits = agreement(at_end["smoothed"], record.times_ns, history.evidence, errors)
-    return replace(record, smoothed_agreement=fits)
+    return replace(
+        record,
+        floors=floors,
+        floor_belief=None if floors is None else np.stack(on_floors),
+        verified=None if errors.verified is None else verified,
+        smoothed_agreement=agreement(at_end["smoothed"], record.times_ns, history.evidence, errors),
+    )
 
 
 @contextmanager
 def _about(frame: Any, source: SequenceReader | EstimateSequence) -> Iterator[None]:
-    """Say of an error which image it is about."""
     try:
         yield
     except VaporTrackError as error:

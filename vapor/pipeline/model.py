@@ -29,11 +29,7 @@ class LoadedModel:
 
 
 def load_model(model: str, config: ModelConfig) -> LoadedModel:
-    """Load a model for runs with some settings.
-
-    Args:
-        model: Model file, or name of a model that ships with the package.
-        config: Settings.
+    """Load a model file, or a model that ships by its name, for runs.
 
     Raises:
         VaporTrackError: no such model, an unusable file, or no such device.

@@ -1,4 +1,4 @@
-"""What a run writes into its directory, beside what it writes on the way."""
+"""Files that a run writes at its end."""
 
 from __future__ import annotations
 
@@ -31,13 +31,9 @@ RESULTS = frozenset(
 
 @dataclass(frozen=True)
 class RunResult:
-    """What a run found.
+    """The result of a run: everything collected on the way, the content of `report.json`, warnings and hints.
 
-    Attributes:
-        record: Everything collected on the way.
-        report: Content of `report.json`.
-        notices: What a person should know of the sequence, the model and the smoothed trajectory.
-        engine: What ran the network, in words; empty where none ran.
+    `engine` has engine, device and precision of the network; empty without one.
     """
 
     record: RunRecord
@@ -60,16 +56,7 @@ def write_results(
     notices: Sequence[str] = (),
     command: str = "",
 ) -> RunResult:
-    """Write trajectories, `config.json` (settings, and the versions they were used with), and the report.
-
-    Args:
-        record: The run.
-        directory: Where to.
-        settings: What it was made with, as JSON.
-        title: Name of the sequence.
-        notices: What a person should know of the sequence and the model.
-        command: The command that was given; empty where there was none.
-    """
+    """Write trajectories, `config.json` (settings, and versions of packages), and the report of a run."""
     for name, trajectory in record.methods.items():
         write_tum(directory / FILES[name], trajectory)
     if record.truth is not None:
@@ -81,8 +68,7 @@ def write_results(
         partial.write_text(json.dumps(settings, indent=2) + "\n", encoding="utf-8")
     report = build_report(record)
     write_report(directory / "report.json", report)
-    doubtful = doubtful_notice(record)
-    told = (*notices, doubtful) if doubtful else tuple(notices)
-    page = run_page(record, report, title=title, settings=settings, notices=told, command=command)
+    all_notices = (*notices, *filter(None, [doubtful_notice(record)]))
+    page = run_page(record, report, title=title, settings=settings, notices=all_notices, command=command)
     write_page(directory / "report.html", page)
-    return RunResult(record, report, told)
+    return RunResult(record, report, all_notices)

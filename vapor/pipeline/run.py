@@ -22,12 +22,14 @@ from vapor.pipeline.config import RunConfig
 from vapor.pipeline.localize import localize
 from vapor.pipeline.model import LoadedModel, load_model
 from vapor.pipeline.results import RESULTS, RunResult, write_results
-from vapor.pipeline.unrecognised import SomeImages, are_unrecognised, why_unrecognised
+from vapor.pipeline.unrecognised import MOST_IMAGES, SeenImage, are_unrecognised, why_unrecognised
+from vapor.reporting.record import EvenlySpaced
 from vapor.reporting.rerun_place import Place
 from vapor.threads import limited_threads
 from vapor.training_data.ground import told_unshown
 
-_KEPT = 4  # images of which landmarks verified a place
+_MOST_KEPT = 7  # images in which landmarks verified a place
+_VerifiedImage = tuple[int, UInt8[np.ndarray, "h w 3"], Camera | None, list[VerifiedPose]]
 
 
 def run(
@@ -45,15 +47,15 @@ def run(
 
     Args:
         sequence: MCAP file, rosbag2 folder or ROS 1 bag.
-        model: Model file, name of a model that ships with the package, or what `load_model` made of one with these
+        model: Model file, name of a model that ships with the package, or a model that `load_model` loaded with these
             settings.
-        output: Directory for the results, which appear when the run is complete, or not at all: absent, empty, or
-            results, which are replaced (see `results_folder`).
+        output: Directory for the results, which appear when the run is complete, or not at all. It is absent, empty, or
+            has earlier results, which are replaced (see `results_folder`).
         config: Settings.
-        reading: What to read of the sequence; None for all of it, as found.
-        overwrite: Take any directory as output, and replace in it what has the names of results.
+        reading: Topics and range to read; None for the whole sequence.
+        overwrite: Take any directory as output, and replace files in it that have the names of results.
         progress: Called after every image with the number done and an upper bound of all.
-        command: The command that was given, for the page; empty where there was none.
+        command: The command line, for the page; empty where there was none.
 
     Raises:
         VaporTrackError: unusable sequence, model or output, or fewer than one in ten of the images left to localize.
@@ -86,12 +88,12 @@ def run_into(
     reader = SequenceReader(sequence, reading)
     observation = model.observation.seen_by(reader.camera)
 
-    some = SomeImages()
+    some: EvenlySpaced[SeenImage] = EvenlySpaced(MOST_IMAGES)
     verified = VerifiedImages(observation)
 
     def seen(frame: Frame) -> np.ndarray:
         observation.camera = frame.camera  # which may zoom
-        some.add(frame.image, frame.camera)
+        some.add(lambda: (frame.image, frame.camera))
         return frame.image
 
     with limited_threads(config.threads):
@@ -112,7 +114,6 @@ def run_into(
         )
         record = replace(record, landmarks=verified.middle(record.methods["filter"].poses))
         engine = {"device": observation.engine.device, "engine": observation.engine.name}
-        settings = {"run": asdict(config) | engine, "reading": asdict(reading) | reader.resolved}
         settings = {
             "sequence": {
                 "name": sequence.name,
@@ -121,51 +122,44 @@ def run_into(
                 "odometry": reader.odometry_description,
             },
             "model": {"name": model.name, "sha256": model.sha256},
-            **settings,
+            "run": asdict(config) | engine,
+            "reading": asdict(reading) | reader.resolved,
         }
         notices = [*reader.notices, *observation.notices]
         if are_unrecognised(record.status) and observation.description.familiarity is not None:
-            notices.append(why_unrecognised(some, observation.unfamiliarity))
+            notices.append(why_unrecognised(some.items, observation.unfamiliarity))
         if (trained := observation.description.memory_poses) is not None:
-            notices += [told] if (told := told_unshown(record.methods["smoothed"].poses, trained)) else []
+            notices += filter(None, [told_unshown(record.methods["smoothed"].poses, trained)])
         result = write_results(record, directory, settings, title=sequence.name, notices=notices, command=command)
         return replace(result, engine=f"{engine['engine']} on {engine['device']}, {config.precision}")
 
 
 class VerifiedImages:
-    """An observation model that keeps some of the images of which landmarks verified a place, evenly spread over them.
-
-    Args:
-        model: What makes the posteriors.
-    """
+    """An observation model that keeps some of the images in which landmarks verified a place, evenly spread."""
 
     def __init__(self, model: VaporObservationModel) -> None:
         self._model = model
-        self._kept: list[tuple[int, UInt8[np.ndarray, "h w 3"], Camera | None, list[VerifiedPose]]] = []
-        self._number, self._verified, self._every = 0, 0, 1
+        self._number, self._verified = 0, 0
+        self._kept: EvenlySpaced[_VerifiedImage] = EvenlySpaced(_MOST_KEPT)
 
     def observe(self, image: np.ndarray, *, rng: np.random.Generator) -> PosePosterior:
         """See `VaporObservationModel.observe`."""
         posterior = self._model.observe(image, rng=rng)
         if self._model.verifier is not None and (found := self._model.verifier.latest):
-            if self._verified % self._every == 0:
-                self._kept.append((self._number, image.copy(), self._model.camera, found))
+            self._kept.add(lambda: (self._number, image.copy(), self._model.camera, found))
             self._verified += 1
-            if len(self._kept) == 2 * _KEPT:
-                self._kept, self._every = self._kept[::2], 2 * self._every
         self._number += 1
         return posterior
 
     def middle(self, poses: Poses) -> ShownLandmarks | None:
-        """What the image in the middle of those kept shows; None where landmarks verified nothing.
+        """The landmarks in the middle one of the images kept; None where landmarks verified nothing.
 
         Args:
-            poses: Where the camera was taken to be in each image observed so far, (n,): the verified pose nearest to
-                that is shown.
+            poses: Estimate of each image observed so far, (n,): the verified pose nearest to it is shown.
         """
-        if self._model.verifier is None or not self._kept:
+        if self._model.verifier is None or not self._kept.kept:
             return None
-        ordinals = self._every * np.arange(len(self._kept))
-        number, image, camera, found = self._kept[int(np.abs(ordinals - 0.5 * (self._verified - 1)).argmin())]
+        middle = 0.5 * (self._verified - 1)
+        _, (number, image, camera, found) = min(self._kept.kept, key=lambda each: abs(each[0] - middle))
         metres, _ = Poses.stack([each.world_from_camera for each in found]).distance(poses[number])
         return self._model.verifier.shown(image, camera, found, which=int(np.argmin(metres)), number=number)

@@ -1,16 +1,62 @@
-"""Figures without a window, and PNG files of them."""
+"""Colours, small JPEGs, and figures without a window as PNG files."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
+import numpy as np
+from jaxtyping import UInt8
+
 from sequences.atomic import atomic_output
+from vapor.tracking.methods import METHODS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_SOFTWARE = "vapor-track"  # as a PNG says that made it
+COLORS: Mapping[str, str] = MappingProxyType(
+    {
+        **{name: method.color for name, method in METHODS.items()},
+        "truth": "#222222",
+        "other": "#d55e00",  # hypotheses beside the best one
+        "converged": "#cfdde6",
+        "ambiguous": "#f0c8a0",
+        "lost": "#b5423a",
+    }
+)
+"""One colour in every picture for each tracking method, for the truth, for other hypotheses, and for each status."""
+INK = "#333333"
+"""Of text and marks."""
+FAINT = "#b8b8b8"
+"""Of axes."""
+_SOFTWARE = "vapor-track"  # the `Software` of a PNG
+
+
+def rgb(code: str) -> tuple[int, int, int]:
+    """A colour such as #0072b2, each part from 0 to 255."""
+    return int(code[1:3], 16), int(code[3:5], 16), int(code[5:7], 16)
+
+
+def shrunk(image: UInt8[np.ndarray, "height width 3"], side: int) -> UInt8[np.ndarray, "h w 3"]:
+    """An image whose longer side has at most `side` pixels; an empty one stays empty."""
+    import cv2
+
+    height, width = image.shape[:2]
+    if image.size == 0 or max(height, width) <= side:
+        return image
+    scale = side / max(height, width)
+    size = (max(1, round(width * scale)), max(1, round(height * scale)))
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def as_jpeg(image: UInt8[np.ndarray, "h w 3"], quality: int) -> bytes:
+    """An RGB image as a JPEG file of a quality from 0 to 100."""
+    import cv2
+
+    _, jpeg = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return jpeg.tobytes()
 
 
 def new_figure(width: float, height: float) -> Figure:

@@ -1,8 +1,4 @@
-"""A picture of one image's posterior: positions from above, marginals along x, y and z, orientations on a sphere.
-
-The sphere is the base of the Hopf fibration in Mollweide's projection, the angle about the axis is the colour (Murphy
-et al., "Implicit-PDF: non-parametric representation of probability distributions on the rotation manifold", ICML 2021).
-"""
+"""The posterior of one image, as a picture and as a Rerun recording."""
 
 from __future__ import annotations
 
@@ -12,9 +8,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float64, UInt8
 
+from filtering.estimate import posterior_modes
+from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
-from vapor.reporting.colors import COLORS
-from vapor.reporting.drawing import new_figure, save_figure
+from sequences.frame import Frame
+from vapor.reporting.drawing import COLORS, new_figure, save_figure
+from vapor.reporting.rerun_layout import TRUTH, log_legend, log_styles, space_view, with_legend
+from vapor.reporting.rerun_place import Place
+from vapor.reporting.rerun_recording import recorded
+from vapor.reporting.rerun_shapes import HypothesisColors, Photograph, frusta, shown_modes, thinned
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -33,18 +35,11 @@ def draw_posterior(
     truth: Poses | None = None,
     title: str,
 ) -> Path:
-    """Draw posterior samples of one image.
+    """Draw posterior samples (m,) of one image, and the true pose where known, as a PNG that appears when complete.
 
-    Args:
-        path: The picture, PNG.
-        samples: world_from_camera, (m,).
-        image: RGB.
-        surroundings: Positions that outline the scene: posterior samples of training images, metres.
-        truth: The true pose, one pose, where it is known.
-        title: Such as the name of the sequence and the stamp of the image.
-
-    Returns:
-        The picture; it appears under its name only when complete.
+    The sphere is the base of the Hopf fibration in Mollweide's projection, the angle about the axis is the colour
+    (Murphy et al., "Implicit-PDF: non-parametric representation of probability distributions on the rotation manifold",
+    ICML 2021). Positions (metres) of the surroundings outline the scene: posterior samples of training images.
     """
     figure = new_figure(12.0, 5.6)
     left, right = figure.add_gridspec(1, 2, width_ratios=[1.3, 1.0])
@@ -68,7 +63,7 @@ def draw_posterior(
 def hopf_coordinates(
     rotation: Float64[np.ndarray, "n 3 3"], axis: int
 ) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
-    """Where an axis of the camera points, and how far it is turned about it.
+    """Direction of an axis of the camera, and the angle about it.
 
     Args:
         rotation: world_from_camera rotations.
@@ -88,7 +83,7 @@ def hopf_coordinates(
 
 
 def level_axis(rotation: Float64[np.ndarray, "n 3 3"]) -> int:
-    """The axis of the camera that lies most level: the sphere has no poles where it points."""
+    """The axis of the camera that lies most level: it points to no pole of the sphere."""
     return int(np.argmin(np.square(rotation[:, 2]).mean(axis=0)))
 
 
@@ -145,3 +140,42 @@ def _draw_orientations(ax: Axes, samples: Poses, truth: Poses | None) -> None:
     ax.tick_params(labelsize=7)
     ax.set_title(f"where the camera's {_AXES[axis]}, points", fontsize=9)
     ax.figure.colorbar(drawn, ax=ax, shrink=0.7, label="turned about it [°]", ticks=[0, 90, 180, 270, 360])
+
+
+_CLOUD_SIZE, _FRUSTA = 2000, 100
+_LEGEND = (
+    "**orange** samples of the image's posterior  ·  **blue** the place with most of them, **other colours** the"
+    " others, each with its fraction of the samples and an ellipsoid of two standard deviations  ·  **white** true pose"
+    "  ·  **grey** {what}"
+)
+
+
+def record_posterior(
+    path: Path, posterior: PosePosterior, *, frame: Frame, truth: Poses, place: Place, title: str
+) -> Path:
+    """Record the posterior of a frame's image in space, with its true pose and the cameras that outline the place.
+
+    The recording, `.rrd`, appears under its name only when complete.
+
+    Raises:
+        SequenceError, VaporTrackError: it cannot be written.
+    """
+    import rerun as rr
+    import rerun.blueprint as rrb
+
+    image = rrb.Spatial2DView(origin="world/camera", contents="world/camera", name="image")
+    with recorded(path, "vapor-track posterior", title) as stream:
+        stream.send_blueprint(with_legend(space_view("posterior", place.first_view()), [image], [1.0]))
+        log_styles(stream)
+        log_legend(stream, _LEGEND.format(what=place.what))
+        place.log(stream)
+        points = thinned(posterior.samples, _CLOUD_SIZE).translation.astype(np.float32)
+        cameras = frusta(thinned(posterior.samples, _FRUSTA), place.small_camera_m)
+        stream.log("world/posterior", rr.Points3D.from_fields(positions=points), static=True)
+        stream.log("world/posterior/cameras", rr.LineStrips3D.from_fields(strips=cameras), static=True)
+        if modes := posterior_modes(posterior):
+            colors = HypothesisColors(place.camera_m).of(Poses.stack([mode.world_from_camera for mode in modes]), None)
+            for entity, archetype, components in shown_modes(modes, colors, camera_m=0.8 * place.camera_m):
+                stream.log(entity, archetype.from_fields(**components), static=True)
+        Photograph.of(frame).log(stream, "world/camera", truth, color=TRUTH, size_m=place.camera_m)
+    return path

@@ -2,21 +2,141 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import Generic, TypeVar
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Float32, Float64, Int64, UInt8
 
-from filtering.estimate import Status
+from filtering.errors import VaporTrackError
+from filtering.estimate import Estimate, Mode, Status
 from filtering.floors import Floors
 from filtering.se3 import Poses
-from sequences.frame import Trajectory
+from sequences.frame import Frame, Trajectory
 from sequences.reading.counts import ImageCounts
 from vapor.landmarks.shown import ShownLandmarks
-from vapor.reporting.keyframes import Keyframe
-from vapor.reporting.moments import Moment
+from vapor.reporting.drawing import as_jpeg, shrunk
+from vapor.tracking.loop import Step
 from vapor.tracking.methods import in_order
+
+Item = TypeVar("Item")
+
+MOST_MOMENTS = 300
+_MOST_KEYFRAMES = 24
+_CLOUD_SIZE = 300
+_THUMBNAIL_SIDE, _MOMENT_SIDE = 320, 200  # pixels
+_MOMENT_PARTICLES, _MOMENT_QUALITY = 60, 70
+
+
+class EvenlySpaced(Generic[Item]):
+    """At most `most` items of a stream of unknown length: all, or every second, fourth, eighth, ...
+
+    Attributes:
+        kept: Number in the stream, from 0, and item, in order.
+    """
+
+    def __init__(self, most: int) -> None:
+        self.kept: list[tuple[int, Item]] = []
+        self._most, self._seen, self._every = most, 0, 1
+
+    @property
+    def items(self) -> list[Item]:
+        """Without their numbers."""
+        return [item for _, item in self.kept]
+
+    def add(self, make: Callable[[], Item]) -> None:
+        """Take the next item, which is made only where it is kept."""
+        if self._seen % self._every == 0:
+            self.kept.append((self._seen, make()))
+            if len(self.kept) > self._most:
+                self.kept, self._every = self.kept[::2], 2 * self._every
+        self._seen += 1
+
+
+@dataclass(frozen=True)
+class Keyframe:
+    """One image of the run in full: what the camera saw and what the filter believed.
+
+    The thumbnail, RGB, has at most 320 pixels along its longer side, and is empty where there is no image. The cloud
+    has 300 equally weighted poses, world_from_camera; the spread is their root mean square distance from their mean,
+    metres.
+    """
+
+    time_ns: int
+    thumbnail: UInt8[np.ndarray, "height width 3"]
+    cloud: Poses
+    modes: tuple[Mode, ...]
+    status: Status
+    world_from_camera: Poses | None
+    spread_m: float
+
+    @staticmethod
+    def of(frame: Frame, estimate: Estimate) -> Keyframe:
+        """An image and the belief after it."""
+        cloud = estimate.cloud(_CLOUD_SIZE)
+        return Keyframe(
+            time_ns=frame.time_ns,
+            thumbnail=shrunk(frame.image, _THUMBNAIL_SIDE).copy(),  # the decoder's buffer may be used again
+            cloud=cloud,
+            modes=estimate.modes,
+            status=estimate.status,
+            world_from_camera=frame.world_from_camera,
+            spread_m=float(np.sqrt(cloud.translation.var(axis=0).sum())),
+        )
+
+
+def choose_keyframes(keyframes: list[Keyframe], count: int) -> list[Keyframe]:
+    """At most `count` keyframes: the first, the last, and those where the belief changes.
+
+    The curve of doubt over time (the fraction of the belief outside the best hypothesis, and the log of the spread) is
+    simplified: as long as there are too many, the keyframe goes that lies nearest to the line between its neighbours.
+    How much time a keyframe stands for counts too, so that calm segments stay present and neighbours do not crowd.
+    """
+    keyframes = list(keyframes)
+    start_ns, duration_ns = keyframes[0].time_ns, max(keyframes[-1].time_ns - keyframes[0].time_ns, 1)
+    time = np.array([(keyframe.time_ns - start_ns) / duration_ns for keyframe in keyframes])
+    doubt = np.array(
+        [[1.0 - keyframe.modes[0].weight, 0.3 * np.log10(keyframe.spread_m + 0.1)] for keyframe in keyframes]
+    )
+    while len(keyframes) > max(count, 2):
+        gap = time[2:] - time[:-2]
+        fraction = (time[1:-1] - time[:-2]) / np.maximum(gap, 1e-12)
+        line = doubt[:-2] + (doubt[2:] - doubt[:-2]) * fraction[:, None]
+        nearer = np.minimum(time[1:-1] - time[:-2], time[2:] - time[1:-1])
+        loss = np.linalg.norm(doubt[1:-1] - line, axis=1) * np.sqrt(nearer) + 0.2 * gap
+        leaving = 1 + int(np.argmin(loss))
+        del keyframes[leaving]
+        time, doubt = np.delete(time, leaving), np.delete(doubt, leaving, axis=0)
+    return keyframes
+
+
+@dataclass(frozen=True)
+class Moment:
+    """The belief after an image, small enough to show up to 300 of them on a page.
+
+    It has 60 equally weighted particles, and the hypotheses, best first, with their weights; positions are in metres.
+    The JPEG has at most 200 pixels along its longer side, and is empty where there is no image.
+    """
+
+    index: int
+    particles: Float32[np.ndarray, "60 3"]
+    modes: Float32[np.ndarray, "k 3"]
+    weights: Float64[np.ndarray, " k"]
+    jpeg: bytes
+
+    @staticmethod
+    def of(index: int, keyframe: Keyframe) -> Moment:
+        """A few particles and a small image of a keyframe."""
+        which = np.linspace(0, len(keyframe.cloud) - 1, _MOMENT_PARTICLES).astype(int)
+        image = shrunk(keyframe.thumbnail, _MOMENT_SIDE)
+        return Moment(
+            index,
+            keyframe.cloud.translation[which].astype(np.float32),
+            np.stack([mode.world_from_camera.translation for mode in keyframe.modes]).astype(np.float32),
+            np.array([mode.weight for mode in keyframe.modes]),
+            as_jpeg(image, _MOMENT_QUALITY) if image.size else b"",
+        )
 
 
 @dataclass(frozen=True)
@@ -25,30 +145,28 @@ class RunRecord:
 
     Attributes:
         times_ns: Header stamps, (n,).
-        methods: Trajectory of every tracking method by its name, in the order of `METHODS`; absent ones are left out.
-            Of single images it is the best mode of each one's posterior. Dead reckoning starts at the first true pose,
-            or at the first estimate where that is unknown, and anew where there is no odometry; a sequence without any
-            has none.
+        methods: Trajectory of every tracking method by its name, in the order of `METHODS`. That of single images has
+            the best mode of each one's posterior. Dead reckoning starts at the first true pose, or else at the first
+            estimate, and again after a gap in the odometry.
         covariance: Covariance of ξ = (v, ω) in the tangent at the filter's best mode, metres and radians, (n, 6, 6).
         status: The filter's own status, (n,).
         num_modes: Number of hypotheses, (n,).
         best_weight: Weight of the reported hypothesis, (n,).
         num_particles: Number of particles, (n,).
-        effective_sample_size: Effective number of particles, (n,).
         agreement: Fraction of the belief that the latest images fitted, (n,).
         unfamiliarity: How unlike the training data each image was, see `PosePosterior`, (n,).
         step_ms: Wall-clock milliseconds of each step, (n,).
         truth: True poses of the images that have one; None if none has.
         smoothed_agreement: How well the images about each smoothed pose fit it, in [0, 1], (n,); None without any.
         keyframes: A few in order of time, the first and last image among them.
-        moments: What was believed at up to 300 images, in order of time.
+        moments: The belief at up to 300 images, in order of time.
         skipped: Number of images and other messages skipped, by reason.
-        images: What became of the images that the sequence states; None if not counted.
+        images: Counts of the images in the sequence; None if not counted.
         peak_rss_mb: Peak resident memory of the process, MiB; None if not measured.
         floors: Of the building; None where there is one only, or it is not known.
         floor_belief: Fraction of the filter's belief on each of the f floors, (n, f); None without floors.
-        verified: How many of the images landmarks verified a place of; None without a map of landmarks.
-        landmarks: What one of these images shows of the landmarks; None without any.
+        verified: Number of images in which landmarks verified a place; None without a map of landmarks.
+        landmarks: The landmarks in one of these images; None without any.
     """
 
     times_ns: Int64[np.ndarray, " n"]
@@ -58,31 +176,111 @@ class RunRecord:
     num_modes: Int64[np.ndarray, " n"]
     best_weight: Float64[np.ndarray, " n"]
     num_particles: Int64[np.ndarray, " n"]
-    effective_sample_size: Float64[np.ndarray, " n"]
     agreement: Float64[np.ndarray, " n"]
     unfamiliarity: Float64[np.ndarray, " n"]
     step_ms: Float64[np.ndarray, " n"]
     truth: Trajectory | None
-    smoothed_agreement: Float64[np.ndarray, " n"] | None
     keyframes: tuple[Keyframe, ...]
     moments: tuple[Moment, ...]
     skipped: Mapping[str, int]
     images: ImageCounts | None
     peak_rss_mb: float | None
+    smoothed_agreement: Float64[np.ndarray, " n"] | None = None
     floors: Floors | None = None
     floor_belief: Float64[np.ndarray, "n f"] | None = None
     verified: int | None = None
     landmarks: ShownLandmarks | None = None
 
-    def with_methods(
-        self, poses: Mapping[str, Poses], *, smoothed_agreement: Float64[np.ndarray, " n"] | None = None
-    ) -> RunRecord:
-        """The same with more methods: those that see the whole run at once.
-
-        Args:
-            poses: Their poses, world_from_camera, batches (n,), by name.
-            smoothed_agreement: How well the images about each smoothed pose fit it, (n,).
-        """
+    def with_methods(self, poses: Mapping[str, Poses]) -> RunRecord:
+        """The same with methods that see the whole run at once: world_from_camera, (n,), by name."""
         more = {name: Trajectory(self.times_ns, each) for name, each in poses.items()}
-        methods = in_order({**self.methods, **more})
-        return replace(self, methods=methods, smoothed_agreement=smoothed_agreement)
+        return replace(self, methods=in_order({**self.methods, **more}))
+
+
+class RunRecorder:
+    """Collects a run image by image: under 2 kB per image, beside at most 24 keyframes and 300 moments."""
+
+    def __init__(self) -> None:
+        self._times_ns: list[int] = []
+        self._poses: dict[str, list[Poses]] = {}
+        self._dead_reckoning: list[Poses] = []
+        self._has_odometry = False
+        self._truth: list[tuple[int, Poses]] = []
+        self._covariance: list[np.ndarray] = []
+        self._status: list[Status] = []
+        self._numbers: list[tuple[int, float, int, float, float, float]] = []
+        self._keyframes: list[Keyframe] = []
+        self._moments: EvenlySpaced[Moment] = EvenlySpaced(MOST_MOMENTS)
+
+    def add(self, frame: Frame, step: Step) -> None:
+        """Append one image, and the estimates of all methods after it."""
+        estimate, number = step.estimate, len(self._times_ns)
+        best = estimate.modes[0]
+        if frame.odometry is not None and self._dead_reckoning:
+            self._has_odometry = True
+            self._dead_reckoning.append(self._dead_reckoning[-1] @ frame.odometry.previous_from_current)
+        else:  # the first image, of the run or after a gap; a sequence without odometry shows no dead reckoning
+            start = best.world_from_camera if frame.world_from_camera is None else frame.world_from_camera
+            self._dead_reckoning.append(start)
+        if frame.world_from_camera is not None:
+            self._truth.append((frame.time_ns, frame.world_from_camera))
+        self._times_ns.append(frame.time_ns)
+        for name, modes in {"single_image": step.image_modes, **step.baselines, "filter": estimate.modes}.items():
+            self._poses.setdefault(name, []).append(modes[0].world_from_camera)
+        self._covariance.append(best.covariance)
+        self._status.append(estimate.status)
+        self._numbers.append(
+            (
+                len(estimate.modes),
+                best.weight,
+                len(estimate.particles),
+                estimate.agreement,
+                estimate.unfamiliarity,
+                step.step_ms,
+            )
+        )
+        keyframe = Keyframe.of(frame, estimate)
+        self._moments.add(lambda: Moment.of(number, keyframe))
+        self._keyframes.append(keyframe)
+        if len(self._keyframes) > _MOST_KEYFRAMES:
+            self._keyframes = choose_keyframes(self._keyframes, _MOST_KEYFRAMES)
+
+    def finish(
+        self,
+        *,
+        skipped: Mapping[str, int] | None = None,
+        images: ImageCounts | None = None,
+        peak_rss_mb: float | None = None,
+    ) -> RunRecord:
+        """The record of all images added; arguments as the attributes of `RunRecord`.
+
+        Raises:
+            VaporTrackError: no image was added.
+        """
+        if not self._times_ns:
+            raise VaporTrackError(f"no image was localized, {sum((skipped or {}).values())} were skipped")
+        num_modes, best_weight, num_particles, agreement, unfamiliarity, step_ms = np.array(self._numbers, float).T
+        truth = None
+        if self._truth:
+            truth_ns, true_poses = zip(*self._truth, strict=True)
+            truth = Trajectory(np.array(truth_ns, np.int64), Poses.stack(list(true_poses)))
+        times_ns = np.array(self._times_ns, np.int64)
+        methods = self._poses | ({"dead_reckoning": self._dead_reckoning} if self._has_odometry else {})
+        return RunRecord(
+            times_ns=times_ns,
+            methods={name: Trajectory(times_ns, Poses.stack(poses)) for name, poses in in_order(methods).items()},
+            covariance=np.stack(self._covariance),
+            status=tuple(self._status),
+            num_modes=num_modes.astype(np.int64),
+            best_weight=best_weight,
+            num_particles=num_particles.astype(np.int64),
+            agreement=agreement,
+            unfamiliarity=unfamiliarity,
+            step_ms=step_ms,
+            truth=truth,
+            keyframes=tuple(self._keyframes),
+            moments=tuple(self._moments.items),
+            skipped=dict(sorted((skipped or {}).items())),
+            images=images,
+            peak_rss_mb=peak_rss_mb,
+        )

@@ -1,10 +1,10 @@
-"""What a run says about itself: `report.json`, and the table that the command prints."""
+"""The report of a run: `report.json`, `status.csv`, and the table that the command prints."""
 
 from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,20 +25,18 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 FITS = 0.7
-"""Fraction of the images about a smoothed pose that must fit it; as of the filter's to be `converged`."""
-
-_POSITION, _ROTATION = slice(0, 3), slice(3, 6)
+"""Fraction of the images about a smoothed pose that must fit it, as for the filter's to be `converged`."""
 
 
 def build_report(record: RunRecord) -> dict[str, Any]:
     """The content of `report.json`; the same for the same run but for `step_ms` and `peak_rss_mb`.
 
     Returns:
-        `frames`, `skipped`, `images` (see `ImageCounts`), `duration_s`, `status` (fraction of the images by status),
-        `smoothed_doubtful` (number of poses, see `doubtful`; null without a smoothed trajectory), `particles` (median),
-        `step_ms`, `peak_rss_mb`, `floors` (see `evaluate_floors`; null where there is one only, or none is known),
-        `frames_with_true_pose`, and where true poses are known each method's metrics (see `evaluate_trajectory`), and
-        `consistency` (see `evaluate_consistency`).
+        `frames`, `frames_with_true_pose`, `skipped`, `images` (see `ImageCounts`), `duration_s`, `status` (fraction of
+        the images by status), `smoothed_doubtful` (number of poses; null without a smoothed trajectory), `particles`
+        (median), `step_ms`, `peak_rss_mb`, `verified` (fraction of the images, with landmarks only) and `floors` (see
+        `evaluate_floors`; null where there is one only). With true poses also each method's metrics (see
+        `evaluate_trajectory`) and `consistency` (see `evaluate_consistency`).
     """
     counts = Counter(record.status)
     frames = len(record.times_ns)
@@ -77,7 +75,7 @@ def doubtful(record: RunRecord) -> Bool[np.ndarray, " n"] | None:
 
 
 def doubtful_notice(record: RunRecord) -> str | None:
-    """What to say of a run with doubtful smoothed poses; None where there are none."""
+    """A warning of doubtful smoothed poses; None where there are none."""
     doubts = doubtful(record)
     if doubts is None or not doubts.any():
         return None
@@ -92,13 +90,14 @@ def write_report(path: Path, report: Mapping[str, Any]) -> None:
 
 
 def write_status(path: Path, record: RunRecord) -> None:
-    """Write what is to be thought of the poses of each image, as CSV.
+    """Write how good the pose of each image is, as CSV.
 
-    `time`: as in the trajectories. `status`, `std_m`, `std_deg`: of the filter's pose, its status and the standard
-    deviations along the widest axis of position and rotation, by what it believed at that moment. `smoothed`: `fits` or
-    `doubtful`, whether the images about the smoothed pose fit it.
+    `status`, `std_m`, `std_deg`: the filter's status, and standard deviations of its pose along the widest axis of
+    position and rotation. `smoothed`: whether the images about the smoothed pose fit it, `fits` or `doubtful`.
     """
-    widest = [np.sqrt(np.linalg.eigvalsh(record.covariance[:, part, part]))[:, -1] for part in (_POSITION, _ROTATION)]
+    widest = [
+        np.sqrt(np.linalg.eigvalsh(record.covariance[:, part, part]))[:, -1] for part in (slice(0, 3), slice(3, 6))
+    ]
     doubts = doubtful(record)
     fits = [""] * len(record.times_ns) if doubts is None else np.where(doubts, "doubtful", "fits").tolist()
     with atomic_output(path) as partial, open(partial, "w", encoding="ascii") as file:
@@ -107,7 +106,7 @@ def write_status(path: Path, record: RunRecord) -> None:
             file.write(f"{format_time(int(time_ns))},{status},{std_m:.4f},{np.degrees(std_rad):.3f},{fit}\n")
 
 
-def is_report(path: Path, *keys: str) -> bool:
+def is_report(path: Path, keys: Collection[str]) -> bool:
     """Whether a file is a JSON object with these keys among others."""
     try:
         content = read_json(path)
@@ -117,22 +116,13 @@ def is_report(path: Path, *keys: str) -> bool:
 
 
 def method_table(report: Mapping[str, Any], *, tail: bool = False) -> tuple[list[str], list[list[str]]]:
-    """The methods of a report side by side, as the headings of columns and the cells of rows.
+    """Headings and rows of a table of a report's methods: median errors, recalls or tail, and when they are right.
 
-    Args:
-        report: Of a run; without true poses there are no rows.
-        tail: Whether to give the tail of the errors rather than recalls.
-
-    Returns:
-        Headings: of the method, its median errors, recalls or tail, and from when on it is right. A row a method.
+    Without true poses there are no rows.
     """
     thresholds = [f"worse than\n{TAIL_M[name]:g} m" for name in TAIL_M] if tail else [*THRESHOLDS]
-    columns = [
-        "",
-        "median error",
-        *(name.replace("m/", " m\n").replace("deg", "°") for name in thresholds),
-        "right\nfrom",
-    ]
+    thresholds = [name.replace("m/", " m\n").replace("deg", "°") for name in thresholds]
+    columns = ["", "median error", *thresholds, "right\nfrom"]
     digits = 1 if tail else 0
     rows: list[list[str]] = []
     for name, metrics in in_order(report).items():
@@ -163,9 +153,7 @@ def format_table(report: Mapping[str, Any], *, title: str | None = None, tail: b
 
 
 def _rounded(value: Any) -> Any:
-    """Every float to six decimals: finer than any sensor, coarser than the last bits of a sum."""
+    # Six decimals are finer than any sensor, and coarser than the last bits of a sum.
     if isinstance(value, Mapping):
         return {key: _rounded(item) for key, item in value.items()}
-    if isinstance(value, float):
-        return round(value, 6)
-    return value
+    return round(value, 6) if isinstance(value, float) else value

@@ -1,16 +1,13 @@
-"""How a run is laid out in Rerun: panels, axes, colours, sizes, names of plotted lines.
-
-Points and lines are as large on the screen whatever the size of the place; cameras are in proportion to the place.
-"""
+"""How a run is laid out in Rerun: panels, axes, colours, sizes, names of plotted lines."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from vapor.reporting.colors import COLORS
-from vapor.reporting.rerun_hypotheses import BEST
+from vapor.reporting.drawing import COLORS, rgb
 from vapor.reporting.rerun_place import Place
+from vapor.reporting.rerun_shapes import BEST
 from vapor.tracking.methods import METHODS
 
 if TYPE_CHECKING:
@@ -36,16 +33,13 @@ _LEGEND_AT_END = "  ·  **white** true pose and path  ·  **green** smoothed  ·
 
 def path_color(name: str) -> tuple[int, int, int]:
     """The colour of a path: of a tracking method, or of the truth."""
-    return {"truth": TRUTH, "filter": BEST, "dead_reckoning": _VIOLET}.get(name) or rgb(name)
+    return {"truth": TRUTH, "filter": BEST, "dead_reckoning": _VIOLET}.get(name) or rgb(COLORS[name])
 
 
 def log_run_styles(stream: rr.RecordingStream, place: Place | None, *, live: bool = False) -> None:
-    """What never changes in a run: the place, colours, sizes, names of the plotted lines, and the legend.
+    """Log everything that never changes in a run: the place, colours, sizes, names of plotted lines, and the legend.
 
-    Args:
-        stream: Where to.
-        place: Where it happens, if that is known.
-        live: See `run_blueprint`.
+    Points and lines have a size on the screen; cameras are in proportion to the place.
     """
     import rerun as rr
 
@@ -76,10 +70,10 @@ def log_run_styles(stream: rr.RecordingStream, place: Place | None, *, live: boo
 
 
 def log_styles(stream: rr.RecordingStream) -> None:
-    """Colours and sizes of what is shown of single posteriors, too: samples, hypotheses, the true pose."""
+    """Log colours and sizes of samples, hypotheses and the true pose, of a run or of a single posterior."""
     import rerun as rr
 
-    ui, orange = rr.Radius.ui_points, rgb("single_image")
+    ui, orange = rr.Radius.ui_points, rgb(COLORS["single_image"])
     for entity, style in {
         "world/posterior": rr.Points3D.from_fields(radii=ui([1.2]), colors=[orange]),
         "world/posterior/cameras": rr.LineStrips3D.from_fields(radii=ui([0.4]), colors=[orange]),
@@ -94,19 +88,16 @@ def log_styles(stream: rr.RecordingStream) -> None:
 
 
 def log_legend(stream: rr.RecordingStream, legend: str) -> None:
-    """Say what the colours mean, in Markdown; `with_legend` has a view for it."""
+    """Log the meaning of the colours, in Markdown; `with_legend` has a view for it."""
     import rerun as rr
 
     stream.log("legend", rr.TextDocument(legend, media_type="text/markdown"), static=True)
 
 
 def run_blueprint(place: Place | None = None, *, live: bool = False) -> rrb.Blueprint:
-    """The belief in space, large; beside it the image and the plots.
+    """The belief in space, large; beside it the image and the plots. The first view shows all of the place, if known.
 
-    Args:
-        place: Where it happens, all of which the first view shows; None where that is unknown.
-        live: For what goes on without an end, and without true poses: the view follows the camera, shows five minutes
-            of its path and one of the belief, and plots no errors.
+    A live view follows the camera, shows five minutes of its path and one of the belief, and plots no errors.
     """
     import rerun.blueprint as rrb
 
@@ -148,13 +139,7 @@ def run_blueprint(place: Place | None = None, *, live: bool = False) -> rrb.Blue
 def space_view(
     name: str, eye: rrb.EyeControls3D | None, overrides: Mapping[str, rrb.VisibleTimeRanges] | None = None
 ) -> rrb.Spatial3DView:
-    """The view in space.
-
-    Args:
-        name: Its title.
-        eye: From where it is seen; None for where Rerun stands by itself.
-        overrides: Of which time entities are shown, by their paths; others as they are at the time that is looked at.
-    """
+    """The view in space, seen from an eye, with the visible times of some entities by their paths."""
     import rerun.blueprint as rrb
 
     return rrb.Spatial3DView(
@@ -169,14 +154,7 @@ def space_view(
 def with_legend(
     space: rrb.View, beside: Sequence[rrb.View], shares: Sequence[float], *, selection: bool = False
 ) -> rrb.Blueprint:
-    """A view in space, large, with the legend below it, and other views beside it.
-
-    Args:
-        space: The view.
-        beside: The others, from above, if any.
-        shares: Their heights, in proportion.
-        selection: Whether to have a panel that shows what is selected.
-    """
+    """A view in space, large, with the legend below it, and other views beside it, whose heights are `shares`."""
     import rerun.blueprint as rrb
 
     legend = rrb.TextDocumentView(origin="legend", name="colours")
@@ -190,13 +168,3 @@ def with_legend(
         rrb.BlueprintPanel(state="collapsed"),
         auto_views=False,
     )
-
-
-def rgb(name: str) -> tuple[int, int, int]:
-    """A colour of `COLORS`, each part from 0 to 255."""
-    return rgb_of(COLORS[name])
-
-
-def rgb_of(code: str) -> tuple[int, int, int]:
-    """A colour of a code such as #0072b2, each part from 0 to 255."""
-    return int(code[1:3], 16), int(code[3:5], 16), int(code[5:7], 16)

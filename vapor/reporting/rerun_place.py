@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import rerun.blueprint as rrb
 
 _POINTS, _FRUSTA = 2000, 200
-_TAIL = 0.005  # of the positions, at either end of each axis: what networks say may lie anywhere
+_TAIL = 0.005  # of the positions, at either end of each axis: predictions of networks may lie anywhere
 _MARGIN = 0.05  # of the box that is looked at, in its diagonals
 _CAMERA, _SMALL_CAMERA = 0.05, 0.012  # sizes of cameras, in diagonals
 _AROUND_RAD, _DOWN_RAD = np.radians([30.0, 33.0])  # from where one looks at the long side of the place
@@ -29,19 +29,14 @@ _FAINT = (105, 105, 112)
 
 @dataclass(frozen=True)
 class Place:
-    """Where something happens.
-
-    Attributes:
-        poses: Of cameras that outline it, world_from_camera, (n,), n ≥ 1.
-        what: What they are, in a few words.
-    """
+    """The place of a run, outlined by cameras (n,), world_from_camera, n ≥ 1, and what these are, in a few words."""
 
     poses: Poses
     what: str
 
     @staticmethod
     def of_model(model: ModelDescription) -> Place:
-        """Where the training images of a model were taken, or what it says of that where it does not remember them."""
+        """Where the training images of a model were taken, or posterior samples of these where it keeps no poses."""
         if model.memory_poses is not None:
             return Place(thinned(model.memory_poses, _POINTS), "training cameras")
         return Place(thinned(model.prior_poses, _POINTS), "posterior samples of training images")
@@ -55,20 +50,14 @@ class Place:
         return low, high
 
     @property
-    def diagonal_m(self) -> float:
-        """Of the box."""
-        low, high = self.box
-        return float(np.linalg.norm(high - low))
-
-    @property
     def camera_m(self) -> float:
-        """How large a camera is drawn that is to be seen among all the rest, metres."""
-        return _CAMERA * self.diagonal_m
+        """Size at which a camera is drawn that stands out, metres."""
+        return _CAMERA * float(np.linalg.norm(self.box[1] - self.box[0]))
 
     @property
     def small_camera_m(self) -> float:
-        """How large one of many cameras is drawn, metres."""
-        return _SMALL_CAMERA * self.diagonal_m
+        """Size at which one of many cameras is drawn, metres."""
+        return _SMALL_CAMERA / _CAMERA * self.camera_m
 
     @cached_property
     def up(self) -> Float64[np.ndarray, "3"]:
@@ -76,24 +65,20 @@ class Place:
         return up_axis(self.poses)
 
     def first_view(self, followed: str | None = None) -> rrb.EyeControls3D:
-        """From obliquely above its long side, from as near as all of it is in view.
-
-        Args:
-            followed: Entity that is followed from there; None for none.
-        """
+        """From obliquely above its long side, as near as all of it is in view; the eye may follow an entity."""
         import rerun.blueprint as rrb
 
         eye, target = whole_view(*self.box, self.up)
         return rrb.EyeControls3D(position=eye, look_target=target, eye_up=self.up, tracking_entity=followed)
 
     def log(self, stream: rr.RecordingStream) -> None:
-        """Show it: which way is up, and its cameras, faint and small."""
+        """Log which way is up, and its cameras, faint and small."""
         self.log_up(stream)
         entity = f"world/place/{self.what.replace(' ', '_')}"
         log_cameras(stream, entity, self.poses, _FAINT, size_m=self.small_camera_m)
 
     def log_up(self, stream: rr.RecordingStream) -> None:
-        """Say which way is up."""
+        """Log which way is up."""
         import rerun as rr
 
         axis = int(np.argmax(np.abs(self.up)))
@@ -104,12 +89,9 @@ class Place:
 def whole_view(
     low: Float64[np.ndarray, "3"], high: Float64[np.ndarray, "3"], up: Float64[np.ndarray, "3"]
 ) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3"]]:
-    """Where to stand and what to look at so that a box is seen as a whole, in a view that is no higher than wide.
+    """Eye and target from which a box (metres) is seen as a whole, in a view that is no higher than wide.
 
-    Args:
-        low: Its lowest corner, metres.
-        high: Its highest corner.
-        up: The axis of the world, or its opposite, that is up.
+    The axis of the world that is up, or its opposite, is `up`.
     """
     sides = high - low
     level = [axis for axis in range(3) if up[axis] == 0.0]
@@ -127,15 +109,7 @@ def whole_view(
 def log_cameras(
     stream: rr.RecordingStream, entity: str, poses: Poses, color: tuple[int, int, int], *, size_m: float
 ) -> None:
-    """Show many cameras (n,), which never change, as points, and which way some of them look.
-
-    Args:
-        stream: Where to.
-        entity: Path of the points.
-        poses: world_from_camera, (n,).
-        color: Of all.
-        size_m: Of those that are drawn as cameras, metres.
-    """
+    """Log many cameras (n,), which never change, as points, and some of them as cameras of a size in metres."""
     import rerun as rr
 
     points = thinned(poses, _POINTS).translation.astype(np.float32)

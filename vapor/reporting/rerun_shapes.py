@@ -1,14 +1,25 @@
-"""Cameras, ellipsoids and images in the form in which Rerun shows them."""
+"""Cameras, hypotheses and images in the form in which Rerun shows them."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
+from scipy.optimize import linear_sum_assignment
 
+from filtering.estimate import Mode
+from filtering.motion import Odometry
 from filtering.se3 import Poses
-from sequences.frame import Camera
+from sequences.frame import Camera, Frame
+from vapor.reporting.drawing import as_jpeg, shrunk
 
-_IMAGE_SIDE = 480  # pixels
+if TYPE_CHECKING:
+    import rerun as rr
+
+SMALL_SIDE, _IMAGE_SIDE = 240, 480  # pixels
 _JPEG_QUALITY = 75
 
 
@@ -34,32 +45,6 @@ def steps(points: Float64[np.ndarray, "n 3"], limit_m: float = np.inf) -> Float3
     return np.stack([begins, points], axis=1).astype(np.float32)
 
 
-def as_jpeg(image: UInt8[np.ndarray, "height width 3"], longest_side: int = _IMAGE_SIDE) -> tuple[bytes, int, int]:
-    """The image as JPEG with its longer side at most so many pixels, its width and its height."""
-    import cv2
-
-    height, width = image.shape[:2]
-    scale = min(1.0, longest_side / max(height, width))
-    if scale < 1.0:
-        width, height = max(1, round(width * scale)), max(1, round(height * scale))
-        image = np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
-    _, jpeg = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
-    return jpeg.tobytes(), width, height
-
-
-def pinhole(camera: Camera, width: int, height: int) -> list[list[float]]:
-    """The matrix of a camera for its image at another size; Rerun's pixels begin at integers, ours lie on them."""
-    own = camera.scaled(width, height)
-    return [[own.fx, 0.0, own.cx + 0.5], [0.0, own.fy, own.cy + 0.5], [0.0, 0.0, 1.0]]
-
-
-def stand_in_camera(image: UInt8[np.ndarray, "height width 3"]) -> Camera:
-    """60° across, for the frustum's shape only, where the sequence does not tell the intrinsics."""
-    height, width = image.shape[:2]
-    focal = width / (2.0 * np.tan(np.radians(30.0)))
-    return Camera(width, height, float(focal), float(focal), (width - 1) / 2, (height - 1) / 2)
-
-
 def ellipsoids(
     covariances: Float64[np.ndarray, "n 3 3"],
 ) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3 3"]]:
@@ -67,3 +52,118 @@ def ellipsoids(
     variances, axes = np.linalg.eigh((covariances + np.swapaxes(covariances, 1, 2)) / 2)
     axes[:, :, 2] *= np.linalg.det(axes)[:, None]
     return np.sqrt(np.maximum(variances, 1e-8)), axes
+
+
+BEST = (50, 135, 255)
+"""The colour of the best hypothesis."""
+_OTHERS = (
+    (235, 95, 30),
+    (225, 120, 200),
+    (240, 228, 66),
+    (190, 130, 70),
+    (230, 45, 100),
+    (150, 200, 40),
+    (255, 180, 170),
+    (120, 130, 60),
+    (0, 200, 200),
+    (160, 60, 60),
+)
+
+
+class HypothesisColors:
+    """A colour for each hypothesis, as long as there is one where its motion leads; the best one is always blue.
+
+    Args:
+        length_m: A difference in position that counts as much as one of a radian.
+    """
+
+    def __init__(self, length_m: float) -> None:
+        self._length_m = length_m
+        self._poses: Poses | None = None
+        self._numbers = np.zeros(0, np.int64)
+
+    def of(self, poses: Poses, odometry: Odometry | None) -> UInt8[np.ndarray, "n 3"]:
+        """Colours of the hypotheses after another image.
+
+        Args:
+            poses: world_from_camera, (n,), the best one first.
+            odometry: Motion since the last image; None where unknown, which counts as none.
+        """
+        numbers = np.full(len(poses), -1)
+        if self._poses is not None:
+            moved = self._poses if odometry is None else self._poses @ odometry.previous_from_current
+            metres_sq, turned = poses.squared_distances(moved)
+            here, before = linear_sum_assignment(metres_sq / self._length_m**2 + turned)
+            numbers[here] = self._numbers[before]
+        free = iter(sorted(set(range(2 * len(poses))) - set(numbers.tolist())))
+        numbers = np.array([number if number >= 0 else next(free) for number in numbers.tolist()], np.int64)
+        self._poses, self._numbers = poses, numbers
+        colors = np.array(_OTHERS, np.uint8)[numbers % len(_OTHERS)]
+        colors[0] = BEST
+        return colors
+
+
+def shown_modes(
+    modes: Sequence[Mode], colors: UInt8[np.ndarray, "n 3"], *, camera_m: float
+) -> Iterator[tuple[str, Any, dict[str, Any]]]:
+    """Entity, archetype and components by name that show hypotheses, n ≥ 1, with cameras of a size in metres."""
+    import rerun as rr
+
+    poses = Poses.stack([mode.world_from_camera for mode in modes])
+    sigma, axes = ellipsoids(np.stack([mode.covariance[:3, :3] for mode in modes]))
+    turned = Poses(poses.rotation @ axes, poses.translation)
+    yield (
+        "world/modes",
+        rr.Ellipsoids3D,
+        {
+            "centers": poses.translation,
+            "half_sizes": 2.0 * sigma,
+            "quaternions": turned.as_quat_xyzw(known_valid=True),
+            "colors": colors,
+        },
+    )
+    labels = [f"{100 * mode.weight:.0f} %" for mode in modes]
+    points = poses.translation.astype(np.float32)
+    yield "world/modes/weights", rr.Points3D, {"positions": points, "colors": colors, "labels": labels}
+    yield "world/modes/cameras", rr.LineStrips3D, {"strips": frusta(poses, camera_m), "colors": colors}
+
+
+@dataclass(frozen=True)
+class Photograph:
+    """A JPEG image, its size, and the rows of its matrix of intrinsics, in pixels of this size."""
+
+    jpeg: bytes
+    width: int
+    height: int
+    image_from_camera: list[list[float]]
+
+    @staticmethod
+    def of(frame: Frame, longest_side: int = _IMAGE_SIDE) -> Photograph:
+        """The image of a frame, its longer side at most so many pixels; 60° across where the intrinsics are unknown."""
+        height, width = frame.image.shape[:2]
+        camera = frame.camera
+        if camera is None:
+            focal = float(width / (2.0 * np.tan(np.radians(30.0))))
+            camera = Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
+        image = shrunk(frame.image, longest_side)
+        height, width = image.shape[:2]
+        own = camera.scaled(width, height)
+        # Rerun's pixels begin at integers, ours lie on them.
+        matrix = [[own.fx, 0.0, own.cx + 0.5], [0.0, own.fy, own.cy + 0.5], [0.0, 0.0, 1.0]]
+        return Photograph(as_jpeg(image, _JPEG_QUALITY), width, height, matrix)
+
+    def log(
+        self, stream: rr.RecordingStream, entity: str, pose: Poses, *, color: tuple[int, int, int], size_m: float
+    ) -> None:
+        """Show it where it was taken, `size_m` in front of the camera at `pose`, world_from_camera."""
+        import rerun as rr
+
+        camera = rr.Pinhole(
+            image_from_camera=self.image_from_camera,
+            resolution=[self.width, self.height],
+            image_plane_distance=size_m,
+            color=color,
+        )
+        stream.log(entity, rr.Transform3D(translation=pose.translation, mat3x3=pose.rotation), static=True)
+        stream.log(entity, camera, static=True)
+        stream.log(entity, rr.EncodedImage(contents=self.jpeg, media_type="image/jpeg"), static=True)

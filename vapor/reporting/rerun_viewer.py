@@ -8,7 +8,6 @@ import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,17 +16,15 @@ from jaxtyping import Float64
 from filtering.errors import VaporTrackError
 from filtering.estimate import Estimate, Status
 from filtering.se3 import Poses
-from sequences.frame import Camera, Frame, Trajectory
-from vapor.reporting.rerun_hypotheses import BEST, HypothesisColors
+from sequences.frame import Frame, Trajectory
 from vapor.reporting.rerun_layout import ERROR_CURVES, FOLLOWED, log_run_styles, run_blueprint
-from vapor.reporting.rerun_modes import shown_modes
 from vapor.reporting.rerun_place import Place
-from vapor.reporting.rerun_recording import Recording, load_rerun
-from vapor.reporting.rerun_rows import Rows, time_column
-from vapor.reporting.rerun_shapes import as_jpeg, frusta, pinhole, stand_in_camera, steps, thinned
+from vapor.reporting.rerun_recording import Recording, Rows, load_rerun, time_column
+from vapor.reporting.rerun_shapes import BEST, HypothesisColors, Photograph, frusta, shown_modes, steps, thinned
 
 if TYPE_CHECKING:
     import rerun as rr
+
 
 _CLOUD_SIZE = 300
 _FRUSTA = 40  # samples of an image's posterior that are shown as cameras
@@ -42,11 +39,11 @@ class RerunViewer:
 
     Args:
         path: The recording to write, `.rrd`; it appears under its name on `close`. None for none.
-        spawn: Whether to open the viewer's window now and stream into it.
-        connect: Address of a viewer that is open, to stream into, such as rerun+http://127.0.0.1:9876/proxy.
+        spawn: Whether to open the viewer's window and stream into it.
+        connect: Address of an open viewer to stream into, such as rerun+http://127.0.0.1:9876/proxy.
         title: Name of the run in the viewer.
-        place: Where it happens: it is shown, the first view shows all of it, and cameras are in proportion to it.
-        live: Whether what is shown goes on without an end, and without true poses.
+        place: Where it happens; the first view shows all of it, and cameras are in proportion to it.
+        live: See `run_blueprint`.
 
     Raises:
         SequenceError: the folder is missing.
@@ -86,9 +83,9 @@ class RerunViewer:
             self._recording = Recording(path)
             sinks.append(rr.FileSink(self._recording.pipe))
         self._stream.set_sinks(*sinks)
-        self._stream.send_blueprint(run_blueprint(place, live=live))  # not that of another place, which was open before
+        self._stream.send_blueprint(run_blueprint(place, live=live))  # else a viewer keeps that of the place before
         self._rows = Rows(self._stream, 1 if (sinks and path is None) or spawn else _IMAGES_AT_ONCE)
-        self._camera: Camera | None = None
+        self._image_from_camera: list[list[float]] = []
         self._last_best: Poses | None = None
         self._last_truth: Poses | None = None
         self._last_status: Status | None = None
@@ -101,14 +98,8 @@ class RerunViewer:
     def __enter__(self) -> RerunViewer:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._finish(keep=error is None)
-
-    def close(self) -> None:
-        """Finish; the recording appears under its name."""
-        self._finish(keep=True)
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        self.close(keep=kind is None)
 
     def log(self, frame: Frame, estimate: Estimate, posterior_poses: Poses | None) -> None:
         """Show one image, the belief after it, and samples (m,) of the image's own posterior.
@@ -116,12 +107,18 @@ class RerunViewer:
         Raises:
             VaporTrackError: what came before could not be written.
         """
+        import rerun as rr
+
         if self._recording is not None and self._recording.error is not None:
             raise self._recording.error
         self._rows.begin(frame.time_ns)
         self._log_camera(frame, estimate)
         self._log_belief(frame, estimate)
-        self._log_posterior(posterior_poses)
+        if posterior_poses is not None and len(posterior_poses):
+            points = thinned(posterior_poses, _CLOUD_SIZE).translation.astype(np.float32)
+            self._rows.add("world/posterior", rr.Points3D, positions=points)
+            cameras = frusta(thinned(posterior_poses, _FRUSTA), self._small_camera_m)
+            self._rows.add("world/posterior/cameras", rr.LineStrips3D, strips=cameras)
         self._log_plots(frame, estimate)
         self._last_best = estimate.modes[0].world_from_camera
         self._last_truth = frame.world_from_camera
@@ -130,7 +127,8 @@ class RerunViewer:
         import rerun as rr
 
         best, truth = estimate.modes[0].world_from_camera, frame.world_from_camera
-        self._log_image(frame)
+        if frame.image.size:  # none with estimates of others
+            self._log_image(frame)
         self._rows.add(
             "world/camera", rr.Transform3D, translation=best.translation[None], mat3x3=best.rotation.reshape(1, 9)
         )
@@ -147,21 +145,18 @@ class RerunViewer:
     def _log_image(self, frame: Frame) -> None:
         import rerun as rr
 
-        if frame.image.size == 0:  # estimates without images
-            return
-        jpeg, width, height = as_jpeg(frame.image)
-        camera = frame.camera or stand_in_camera(frame.image)
-        if camera != self._camera:
-            self._camera = camera
+        shown = Photograph.of(frame)
+        if shown.image_from_camera != self._image_from_camera:
+            self._image_from_camera = shown.image_from_camera
             self._rows.add(
                 "world/camera",
                 rr.Pinhole,
-                image_from_camera=[pinhole(camera, width, height)],
-                resolution=[[width, height]],
+                image_from_camera=[shown.image_from_camera],
+                resolution=[[shown.width, shown.height]],
                 image_plane_distance=[self._camera_m],
                 color=[BEST],
             )
-        self._rows.add("world/camera", rr.EncodedImage, blob=[jpeg], media_type=["image/jpeg"])
+        self._rows.add("world/camera", rr.EncodedImage, blob=[shown.jpeg], media_type=["image/jpeg"])
 
     def _log_step(self, entity: str, last: Poses | None, now: Poses, *, limit_m: float) -> None:
         """One segment an image: the view adds them up, and the recording grows with the path, not its square."""
@@ -182,48 +177,28 @@ class RerunViewer:
         for entity, archetype, components in shown_modes(estimate.modes, colors, camera_m=0.8 * self._camera_m):
             self._rows.add(entity, archetype, **components)
 
-    def _log_posterior(self, poses: Poses | None) -> None:
-        import rerun as rr
-
-        if poses is not None and len(poses):
-            points = thinned(poses, _CLOUD_SIZE).translation.astype(np.float32)
-            self._rows.add("world/posterior", rr.Points3D, positions=points)
-            cameras = frusta(thinned(poses, _FRUSTA), self._small_camera_m)
-            self._rows.add("world/posterior/cameras", rr.LineStrips3D, strips=cameras)
-
     def _log_plots(self, frame: Frame, estimate: Estimate) -> None:
         import rerun as rr
 
-        best = estimate.modes[0]
-        self._plot("belief/best_weight", best.weight)
-        self._plot("belief/agreement", estimate.agreement)
+        plotted = {"belief/best_weight": estimate.modes[0].weight, "belief/agreement": estimate.agreement}
+        if frame.world_from_camera is not None:
+            position, rotation = _log_errors(estimate.modes[0].world_from_camera, frame.world_from_camera)
+            plotted |= {"error/position/filter": float(position), "error/rotation/filter": float(rotation)}
+        for entity, value in plotted.items():
+            self._rows.add(entity, rr.Scalars, scalars=[value])
         if estimate.status != self._last_status:
             self._last_status = estimate.status
             self._rows.add("status", rr.StateChange, state=[estimate.status])
-        if frame.world_from_camera is not None:
-            position, rotation = _log_errors(best.world_from_camera, frame.world_from_camera)
-            self._plot("error/position/filter", float(position))
-            self._plot("error/rotation/filter", float(rotation))
-
-    def _plot(self, entity: str, value: float) -> None:
-        import rerun as rr
-
-        self._rows.add(entity, rr.Scalars, scalars=[value])
 
     def log_at_end(self, methods: Mapping[str, Trajectory], truth: Trajectory | None) -> None:
-        """Show what is known only at the end of a run: paths and errors of methods beside the filter.
-
-        Args:
-            methods: Trajectories of tracking methods by name, at the stamps of the images.
-            truth: True poses of the images that have one.
-        """
+        """Show paths of methods at the stamps of the images, and their errors against known true poses, at the end."""
         import rerun as rr
 
         for name in ERROR_CURVES:
             if name == "filter" or name not in methods:
                 continue
             times_ns, poses = methods[name].times_ns, methods[name].poses
-            strips = steps(poses.translation, _limit_m(poses))
+            strips = steps(poses.translation, _longest_step_m(poses))
             columns = rr.LineStrips3D.columns(strips=strips).partition(np.ones(len(strips), np.int64))
             self._stream.send_columns(f"world/path/{name}", [time_column(times_ns)], columns)
             if truth is not None:
@@ -232,13 +207,13 @@ class RerunViewer:
                     columns = rr.Scalars.columns(scalars=errors)
                     self._stream.send_columns(f"error/{kind}/{name}", [time_column(truth.times_ns)], columns)
 
-    def _finish(self, *, keep: bool) -> None:
-        """Close the streams; the recording gets its name, or goes."""
+    def close(self, *, keep: bool = True) -> None:
+        """Finish; the recording appears under its name, or is removed."""
         try:
             if keep:
                 self._rows.send()
             self._stream.flush(timeout_sec=_FLUSH_S if self._recording is None else math.inf)
-        except RuntimeError as error:  # it says no more than that there was one
+        except RuntimeError as error:
             if keep:
                 keep = False
                 raise VaporTrackError(f"the Rerun viewer cannot be written to: {error}") from error
@@ -258,21 +233,20 @@ def _log_errors(poses: Poses, truth: Poses) -> tuple[Float64[np.ndarray, "*n"], 
     return position, rotation
 
 
-def _limit_m(poses: Poses) -> float:
-    """A step of a path (n,) that is longer than this is a jump."""
+def _longest_step_m(poses: Poses) -> float:
     moved = np.linalg.norm(np.diff(poses.translation, axis=0), axis=1)
     return _JUMP_M + 6.0 * float(np.median(moved)) if len(moved) else np.inf
 
 
 def _require_display() -> None:
-    """Raise VaporTrackError where no window can open: the viewer would end, and be waited for."""
+    # Without a display the viewer ends at once, and Rerun waits for it.
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise VaporTrackError("the Rerun viewer needs a display, expected DISPLAY or WAYLAND_DISPLAY to be set")
 
 
 @contextmanager
 def _scripts_on_path() -> Iterator[None]:
-    """Have the viewer found that was installed beside this Python, also where its environment is not activated."""
+    """Let Rerun find its viewer beside this Python also where its environment is not activated."""
     path = os.environ.get("PATH", "")
     os.environ["PATH"] = os.pathsep.join([path, os.path.dirname(sys.executable)])
     try:

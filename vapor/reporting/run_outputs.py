@@ -1,4 +1,4 @@
-"""What becomes of every image after the filter: baselines, `estimate.mcap`, the Rerun viewer, the record."""
+"""Outputs of every image after the filter: baselines, `estimate.mcap`, the Rerun viewer, the record."""
 
 from __future__ import annotations
 
@@ -8,32 +8,23 @@ from collections.abc import Mapping
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
-from types import TracebackType
 
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.frame import Frame
 from sequences.reading.counts import ImageCounts
-from sequences.recordings.estimate_messages import EstimateWriter
-from vapor.reporting.record import RunRecord
-from vapor.reporting.recorder import RunRecorder
+from sequences.recordings.estimate_messages import PUBLISHED_PARTICLES, EstimateWriter
+from vapor.reporting.record import RunRecord, RunRecorder
 from vapor.reporting.rerun_place import Place
 from vapor.reporting.rerun_viewer import RerunViewer
-from vapor.reporting.viewer import NullViewer
 from vapor.tracking.loop import Baselines, Step
 
 
 class RunOutputs:
     """Writes and shows a run image by image; used in a `with` block, so that an error leaves nothing half-written.
 
-    Args:
-        baselines: What else tracks the camera.
-        directory: Where `estimate.mcap` and `recording.rrd` go.
-        recording: Whether to write `recording.rrd`.
-        view: Whether to open the Rerun viewer and stream into it.
-        particles: How many particles of each image go into `estimate.mcap`.
-        place: Where the run happens, for the viewer.
+    `estimate.mcap`, and `recording.rrd` if asked for, go into the directory; `view` opens the Rerun viewer.
 
     Raises:
         SequenceError: the folder is missing or cannot be written to.
@@ -41,30 +32,21 @@ class RunOutputs:
     """
 
     def __init__(
-        self,
-        baselines: Baselines,
-        directory: Path,
-        *,
-        recording: bool,
-        view: bool,
-        particles: int,
-        place: Place | None = None,
+        self, baselines: Baselines, directory: Path, *, recording: bool, view: bool, place: Place | None = None
     ) -> None:
-        self._baselines, self._particles = baselines, particles
+        self._baselines = baselines
         self._recorder = RunRecorder()
         with ExitStack() as block:
             path = directory / "recording.rrd" if recording else None
-            viewer = RerunViewer(path, spawn=view, place=place) if recording or view else NullViewer()
-            self._viewer = block.enter_context(viewer)
+            viewer = RerunViewer(path, spawn=view, place=place) if recording or view else None
+            self._viewer = None if viewer is None else block.enter_context(viewer)
             self._writer = block.enter_context(EstimateWriter(directory / "estimate.mcap"))
             self._block = block.pop_all()
 
     def __enter__(self) -> RunOutputs:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: object) -> None:
         if error is not None:  # of the loop: a writer would state an OSError as its own
             error = VaporTrackError("the run failed")
         self._block.__exit__(error and type(error), error, None)
@@ -80,31 +62,26 @@ class RunOutputs:
         self._recorder.add(frame, step)
         modes = [(mode.world_from_camera, mode.covariance, mode.weight) for mode in estimate.modes]
         try:
-            self._writer.write(frame.time_ns, modes, estimate.cloud(self._particles))
+            self._writer.write(frame.time_ns, modes, estimate.cloud(PUBLISHED_PARTICLES))
         except OSError as error:
             raise SequenceError(f"{self._writer.path}: cannot write: {error.strerror or error}") from error
-        self._viewer.log(frame, estimate, step.posterior.samples)
+        if self._viewer is not None:
+            self._viewer.log(frame, estimate, step.posterior.samples)
 
     def record(
         self, *, skipped: Mapping[str, int], images: ImageCounts, at_end: Mapping[str, Poses] | None = None
     ) -> RunRecord:
-        """The record of all images, see `RunRecorder.finish`; its peak memory is that of this process.
-
-        Args:
-            skipped: See `RunRecord`, like the next.
-            images: What became of the images that the sequence states.
-            at_end: Poses (n,) of the methods that see the whole run at once, by name: they are shown, too.
-        """
+        """The record of all images, with the peak memory of this process and the methods that see the whole run."""
         record = self._recorder.finish(skipped=skipped, images=images, peak_rss_mb=_peak_rss_mb())
         record = record.with_methods(at_end or {})
-        self._viewer.log_at_end(record.methods, record.truth)
+        if self._viewer is not None:
+            self._viewer.log_at_end(record.methods, record.truth)
         return record
 
 
 def _peak_rss_mb() -> float:
-    """Peak resident memory of this process, MiB."""
     with suppress(OSError), open("/proc/self/status", encoding="ascii") as status:
-        for line in status:  # what the kernel says otherwise includes that of the process that started this one
+        for line in status:  # getrusage includes the process that started this one
             if line.startswith("VmHWM:"):
                 return float(line.split()[1]) / 2**10
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

@@ -32,7 +32,6 @@ from sequences.recordings.source import RawMessage
 from vapor.pipeline.model import LoadedModel
 from vapor.reporting.rerun_place import Place
 from vapor.reporting.rerun_viewer import RerunViewer
-from vapor.reporting.viewer import NullViewer, Viewer
 from vapor.robot.belief import Anchor, LiveBelief
 from vapor.robot.config import LiveConfig
 from vapor.robot.estimate import LiveEstimate
@@ -137,7 +136,7 @@ class LiveSession:
                 self._sinks.append(server)
                 host = f"[{config.foxglove_host}]" if ":" in config.foxglove_host else config.foxglove_host
                 self._tell(f"Foxglove: ws://{host}:{server.port}, layout {LAYOUT}")
-            self._viewer: Viewer = NullViewer()
+            self._viewer: WatchingViewer | None = None
             if config.view or config.view_at is not None:
                 self._viewer = block.enter_context(WatchingViewer(self._open_viewer, self._tell))
             outbox = Outbox(self._transport, self._sinks, self._tell)
@@ -314,7 +313,8 @@ class LiveSession:
         self._publisher.send_motion(belief, self._network.job)
         latency_ms = (self._now_ns() - job.arrived_ns) * 1e-6
         self._health.image_was_localized(latency_ms)
-        self._viewer.log(job.frame, anchor.estimate, posterior.samples)
+        if self._viewer is not None:
+            self._viewer.log(job.frame, anchor.estimate, posterior.samples)
         self._on_estimate(self._live_estimate(belief, job.frame, anchor, latency_ms))
 
     def _live_estimate(self, belief: LiveBelief, frame: Frame, anchor: Anchor, latency_ms: float) -> LiveEstimate:

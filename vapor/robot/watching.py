@@ -10,7 +10,7 @@ from filtering.errors import VaporTrackError
 from filtering.estimate import Estimate
 from filtering.se3 import Poses
 from sequences.frame import Frame
-from vapor.reporting.viewer import Viewer
+from vapor.reporting.rerun_viewer import RerunViewer
 
 _LEAVE_S = 3.0  # that a viewer gets at the end
 
@@ -25,7 +25,7 @@ class WatchingViewer:
         tell: Told, once, that it failed.
     """
 
-    def __init__(self, opened: Callable[[], Viewer], tell: Callable[[str], None]) -> None:
+    def __init__(self, opened: Callable[[], RerunViewer], tell: Callable[[str], None]) -> None:
         self._viewer, self._tell = opened(), tell
         self._newest: tuple[Frame, Estimate, Poses | None] | None = None
         self._closed = False

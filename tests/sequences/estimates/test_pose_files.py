@@ -120,8 +120,6 @@ def test_named_frames_need_their_direction(tmp_path: Path):
         read_poses(tmp_path / "absent.txt", "world-to-camera")
 
 
-# --- columns and weights -----------------------------------------------------------------------------------
-
 ACE = "name qw qx qy qz tx ty tz _ _ weight"  # rotation error, translation error, number of inliers
 
 

@@ -1,6 +1,7 @@
 """Lenses that distort -> pinhole cameras: against renderings, and everything that can be wrong with intrinsics."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -21,6 +22,8 @@ from sequences.recordings.message_definitions import decoder, schema_name, schem
 from sequences.writer import SequenceWriter
 from tests.helpers.lens_images import taken_by
 from tests.helpers.sequence_files import BASE_FROM_CAMERA, BEGIN_NS, Walk, rewrite, world_from_camera
+from tests.helpers.sequence_files import CAMERA as SMALL
+from tests.helpers.tf_files import MS, camera_infos, images, mounted, odometry, record, stamps
 
 CAMERA = Camera(160, 120, 110.0, 108.0, 77.0, 62.0)
 LENSES = {
@@ -88,9 +91,6 @@ def test_pinhole_cameras_and_unknown_ones_leave_images_as_they_are() -> None:
 def test_a_distortion_that_no_lens_has_is_refused() -> None:
     with pytest.raises(SequenceError, match=r"coefficients -400, 0, 0, 0 of plumb_bob fold the image"):
         pinhole_of(Lens(CAMERA, "plumb_bob", (-400.0, 0.0, 0.0, 0.0)))
-
-
-# --- recordings ------------------------------------------------------------------------------------
 
 
 def write_walk(path: Path, camera: Camera | Lens, num_images: int = 2) -> Path:
@@ -215,22 +215,27 @@ def test_images_of_another_aspect_than_their_camera_are_said_once_and_left(plain
     for _ in range(3):
         assert camera.seen(np.zeros((90, 160, 3), np.uint8), BEGIN_NS)[1] is None
     assert camera.notices == [
-        "images are 160 x 90 pixels, but their camera is said to have 160 x 120: what is said of it is not used, and"
-        " images are not undistorted"
+        "images have 160 x 90 pixels, but their camera info states 160 x 120: it is not used, and images are not"
+        " undistorted"
     ]
 
 
-def test_a_camera_that_zooms_or_changes_its_mode_is_followed_image_by_image(tmp_path: Path) -> None:
-    said: list[float] = []
+ZOOMED = replace(SMALL, fx=2 * SMALL.fx, fy=2 * SMALL.fy)
+STAMPS_NS = [BEGIN_NS + 100 * MS * i for i in range(12)]
 
-    def zoomed(message: SimpleNamespace) -> None:
-        said.append(80.0 if 3 <= len(said) < 8 else 60.0)
-        message.k = matrix(said[-1], said[-1], 79.5)
-        message.d = []
 
-    path = write_walk(tmp_path / "a.mcap", CAMERA, num_images=12)
-    frames = list(SequenceReader(with_info(path, tmp_path / "zoom.mcap", zoomed)))
-    assert [frame.camera.fx for frame in frames if frame.camera is not None] == [60.0] * 3 + [80.0] * 5 + [60.0] * 4
+@pytest.mark.parametrize("late_ms", [0, 250, -250])
+def test_each_image_has_the_intrinsics_of_its_stamp_however_late_they_are_logged(late_ms: int, tmp_path: Path) -> None:
+    infos = camera_infos((t, ZOOMED if 5 <= i < 9 else SMALL) for i, t in enumerate(STAMPS_NS))
+    infos = [event._replace(time_ns=event.time_ns + late_ms * MS) for event in infos]
+    reader = SequenceReader(record(tmp_path / "a.mcap", images(), mounted(), odometry(stamps()), infos))
+    assert [frame.camera for frame in reader] == [SMALL] * 5 + [ZOOMED] * 4 + [SMALL] * 3
+
+
+def test_intrinsics_that_come_only_when_they_change_hold_until_the_next(tmp_path: Path) -> None:
+    infos = camera_infos([(STAMPS_NS[0] - 10 * MS, SMALL), (STAMPS_NS[7], ZOOMED)])
+    reader = SequenceReader(record(tmp_path / "a.mcap", images(), mounted(), odometry(stamps()), infos))
+    assert [frame.camera for frame in reader] == [SMALL] * 7 + [ZOOMED] * 5
 
 
 def test_intrinsics_that_are_of_no_camera_are_left_out_and_those_before_kept(tmp_path: Path) -> None:
@@ -258,18 +263,9 @@ BAD = {
         {"d": [0.1] * 8, "distortion_model": "equidistant"},
         "8 distortion coefficients of equidistant, expected 4",
     ),
-    "negative focal length": (
-        {"k": matrix(-5.0, 5.0, 1.0)},
-        "camera with fx -5.0, expected between",
-    ),
-    "no second focal length": (
-        {"k": matrix(5.0, 0.0, 1.0)},
-        "camera with fy 0.0, expected between",
-    ),
-    "NaN in K": (
-        {"k": matrix(5.0, 5.0, np.nan)},
-        "camera with cx nan, expected between",
-    ),
+    "negative focal length": ({"k": matrix(-5.0, 5.0, 1.0)}, "camera with fx -5.0, expected between"),
+    "no second focal length": ({"k": matrix(5.0, 0.0, 1.0)}, "camera with fy 0.0, expected between"),
+    "NaN in K": ({"k": matrix(5.0, 5.0, np.nan)}, "camera with cx nan, expected between"),
     "no width": ({"width": 0}, "camera with width 0, expected between"),
     "folded": ({"d": [-400.0, 0, 0, 0, 0]}, "fold the image about its principal point"),
 }

@@ -54,9 +54,6 @@ def h264_reordered() -> list[Packet]:
     return packets
 
 
-# --- what is read ----------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("encoding", foxglove_files.ENCODINGS)
 def test_every_packet_is_an_image_at_its_stamp(encoding: str, h264: list[Packet], tmp_path: Path) -> None:
     frames, skipped = read(foxglove_files.write(tmp_path / "a.mcap", encoding, video(h264)))
@@ -130,9 +127,6 @@ def test_one_channel_in_luma_is_taken_as_it_is(ros_encoding: str, tmp_path: Path
     frames, _ = read(path)
     for image, frame in zip(grey, frames, strict=True):
         np.testing.assert_array_equal(frame.image, decode_image(image_message(image, ros_encoding)))
-
-
-# --- what is lost ----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("reordered", [False, True])

@@ -7,6 +7,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -30,18 +31,25 @@ CHATTER, TEXT = f"{UNDER}/chatter", "std_msgs/Header"
 LONG_S, SHORT_S = 20.0, 0.15  # for what must come, and for what must not
 
 
+@contextmanager
+def joined(**options: Any) -> Iterator[Transport]:
+    transport = join(DdsOptions(DOMAIN, localhost=True, **options))
+    try:
+        yield transport
+    finally:
+        transport.close()
+
+
 @pytest.fixture
 def talker() -> Iterator[Transport]:
-    transport = join(DdsOptions(DOMAIN, localhost=True))
-    yield transport
-    transport.close()
+    with joined() as transport:
+        yield transport
 
 
 @pytest.fixture
 def listener(talker: Transport) -> Iterator[Transport]:
-    transport = join(DdsOptions(DOMAIN, localhost=True))
-    yield transport
-    transport.close()
+    with joined() as transport:
+        yield transport
 
 
 class Ear:
@@ -114,8 +122,7 @@ def test_others_see_what_is_published_and_how_but_not_oneself(talker: Transport,
 
 
 def test_of_several_publishers_what_all_of_them_do_is_seen(talker: Transport, listener: Transport) -> None:
-    third = join(DdsOptions(DOMAIN, localhost=True))
-    try:
+    with joined() as third:
         held = [talker.advertise(CHATTER, TEXT, latched=True)]
         assert offers_of(listener, 1) == [Offer(CHATTER, TEXT, reliable=True, latched=True)]
         held += [third.advertise(CHATTER, TEXT), third.advertise(f"{CHATTER}2", TEXT)]
@@ -126,8 +133,6 @@ def test_of_several_publishers_what_all_of_them_do_is_seen(talker: Transport, li
             (CHATTER, "std_msgs/Empty"),
             (f"{CHATTER}2", TEXT),
         }
-    finally:
-        third.close()
 
 
 # --- messages -------------------------------------------------------------------------------------
@@ -140,14 +145,12 @@ def test_messages_of_every_type_arrive_byte_for_byte(talker: Transport) -> None:
     said = {t: talker.advertise(names[t], t, latched=True) for t in sent}
     for message_type, data in sent.items():
         said[message_type](data)
-    ear, listener = Ear(), join(DdsOptions(DOMAIN, localhost=True, reliable=True))  # images, too
-    try:
+    ear = Ear()
+    with joined(reliable=True) as listener:  # images, too
         for offer in offers_of(listener, len(sent)):
             assert names[offer.type] == offer.topic
             listener.subscribe(offer, ear)
         heard = {raw.type: raw for raw in (ear.next() for _ in sent)}
-    finally:
-        listener.close()
     assert heard.keys() == sent.keys()
     for message_type, data in sent.items():
         raw = heard[message_type]
@@ -177,37 +180,16 @@ def test_messages_arrive_in_their_order_and_are_timed_by_the_machine(talker: Tra
     assert threading.current_thread() not in ear.threads
 
 
-def test_a_large_image_arrives(talker: Transport, listener: Transport) -> None:
-    pixels = np.random.default_rng(0).integers(0, 256, 1280 * 720 * 3, dtype=np.uint8).tobytes()
-    fields = {"height": 720, "width": 1280, "encoding": "rgb8", "step": 3840, "data": pixels}
-    data, ear = encoder("sensor_msgs/Image")(fields), Ear()
-    say = talker.advertise(f"{UNDER}/image", "sensor_msgs/Image")
-    listener.subscribe(offers_of(listener, 1)[0], ear)
-    raw = ear.hears(lambda: say(data))
-    assert raw.data[: len(data)] == data
-    assert decoder("sensor_msgs/Image")(raw.data).data == pixels
-
-
 def test_of_a_latched_topic_a_late_subscriber_gets_the_last_message(talker: Transport) -> None:
     say = talker.advertise(CHATTER, TEXT, latched=True)
     for each in ("first", "second", "last"):
         say(text(each))
-    late, ear = join(DdsOptions(DOMAIN, localhost=True)), Ear()
-    try:
+    ear = Ear()
+    with joined() as late:
         late.subscribe(offers_of(late, 1)[0], ear)
         assert words(ear.next()) == "last"
         say(text("later"))
         assert [words(raw) for raw in [ear.next(), *ear.rest()]] == ["later"]
-    finally:
-        late.close()
-
-
-def test_of_other_topics_a_late_subscriber_gets_what_comes_from_then_on(talker: Transport, listener: Transport) -> None:
-    say, ear = talker.advertise(CHATTER, TEXT), Ear()
-    say(text("before"))
-    listener.subscribe(offers_of(listener, 1)[0], ear)
-    ear.hears(lambda: say(text("after")))
-    assert {words(raw) for raw in ear.rest()} <= {"after"}
 
 
 def test_what_one_publishes_oneself_one_does_not_hear(talker: Transport, listener: Transport) -> None:
@@ -245,21 +227,15 @@ def test_a_second_subscription_of_a_topic_takes_the_place_of_the_first(talker: T
 def test_who_publishes_may_leave_and_come_back(listener: Transport) -> None:
     """As a driver that is started again: what subscribed before it went away hears it again."""
     ear = Ear()
-
-    def live(n: int, driver: Transport) -> None:
-        say = driver.advertise(CHATTER, TEXT)
-        (offer,) = offers_of(listener, 1)
-        if n == 0:
-            listener.subscribe(offer, ear)
-        assert words(ear.hears(lambda: say(text(f"start {n}")))) == f"start {n}"
-        ear.rest()
-
     for n in range(2):
-        driver = join(DdsOptions(DOMAIN, localhost=True))
-        try:
-            live(n, driver)
-        finally:
-            driver.close()
+        with joined() as driver:
+            say = driver.advertise(CHATTER, TEXT)
+            (offer,) = offers_of(listener, 1)
+            if n == 0:
+                listener.subscribe(offer, ear)
+            assert words(ear.hears(lambda n=n, say=say: say(text(f"start {n}")))) == f"start {n}"
+            ear.rest()
+            del say
         assert offers_of(listener, 0) == []
 
 
@@ -319,11 +295,10 @@ def dds_threads() -> list[threading.Thread]:
 def test_once_closed_nothing_is_delivered_and_the_domain_can_be_joined_again(talker: Transport) -> None:
     say, before, ear = talker.advertise(CHATTER, TEXT), len(dds_threads()), Ear()
     for n in range(3):
-        again = join(DdsOptions(DOMAIN, localhost=True))
-        again.subscribe(offers_of(again, 1)[0], ear)
-        assert words(ear.hears(lambda n=n: say(text(f"round {n}")))) == f"round {n}"
-        again.close()
-        again.close()  # which is closed already
+        with joined() as again:
+            again.subscribe(offers_of(again, 1)[0], ear)
+            assert words(ear.hears(lambda n=n: say(text(f"round {n}")))) == f"round {n}"
+            again.close()  # and once more behind
         assert len(dds_threads()) == before
         ear.rest()
         say(text("to nobody"))
@@ -332,14 +307,12 @@ def test_once_closed_nothing_is_delivered_and_the_domain_can_be_joined_again(tal
 
 def test_once_all_have_left_a_domain_is_joined_anew(monkeypatch: pytest.MonkeyPatch) -> None:
     for _ in range(3):
-        first = join(DdsOptions(DOMAIN, localhost=True))
-        second = join(DdsOptions(DOMAIN, localhost=True))
-        say, ear = first.advertise(CHATTER, TEXT, latched=True), Ear()
-        say(text("here"))
-        second.subscribe(offers_of(second, 1)[0], ear)
-        assert words(ear.next()) == "here"
-        first.close()
-        second.close()
+        with joined() as first, joined() as second:
+            say, ear = first.advertise(CHATTER, TEXT, latched=True), Ear()
+            say(text("here"))
+            second.subscribe(offers_of(second, 1)[0], ear)
+            assert words(ear.next()) == "here"
+            del say
     monkeypatch.setenv("CYCLONEDDS_URI", "<CycloneDDS><Domain><Unheard/></Domain></CycloneDDS>")
     with pytest.raises(VaporTrackError):  # so the settings were read again
         join(DdsOptions(DOMAIN, localhost=True))
@@ -354,19 +327,6 @@ def test_systems_of_different_domains_do_not_see_each_other(talker: Transport) -
         say(text("nobody hears it"))
     finally:
         elsewhere.close()
-
-
-def test_a_transport_is_left_at_the_end_of_a_with_statement(talker: Transport) -> None:
-    from sequences.live.dds import DdsTransport
-
-    before = len(dds_threads())
-    with DdsTransport(DdsOptions(DOMAIN, localhost=True)) as transport:
-        say = transport.advertise(CHATTER, TEXT)
-        assert len(offers_of(talker, 1)) == 1
-        assert len(dds_threads()) == before + 1
-        del say
-    assert offers_of(talker, 0) == []
-    assert len(dds_threads()) == before
 
 
 # --- options --------------------------------------------------------------------------------------
@@ -425,14 +385,10 @@ def test_machines_to_look_for_nodes_on_are_told_to_cyclonedds(peer: str) -> None
 
 def test_nodes_of_a_peer_are_found(talker: Transport) -> None:
     talker.close()
-    one, two = (join(DdsOptions(DOMAIN, localhost=True, peer=("127.0.0.1",))) for _ in range(2))
-    try:
+    with joined(peer=("127.0.0.1",)) as one, joined(peer=("127.0.0.1",)) as two:
         say, ear = one.advertise(CHATTER, TEXT), Ear()
         two.subscribe(offers_of(two, 1)[0], ear)
         assert words(ear.hears(lambda: say(text("found")))) == "found"
-    finally:
-        one.close()
-        two.close()
 
 
 def test_without_cyclonedds_the_error_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 
 from sequences.errors import NotFoundError, SequenceError
 from sequences.frame import Frame
-from sequences.live.heard import Heard
-from sequences.live.reader import LiveReader
+from sequences.live.reader import Heard, LiveReader
 from sequences.options import ReadingOptions, SequenceOptions
 from sequences.reader import SequenceReader
 from sequences.recordings.message_definitions import encoder
@@ -23,15 +22,7 @@ from tests.helpers import tf_files
 from tests.helpers.checks import no_checks
 from tests.helpers.fake_transport import FakeTransport, messages_of, offering
 from tests.helpers.other_recordings import MS, close
-from tests.helpers.sequence_files import (
-    BASE_FROM_CAMERA,
-    BEGIN_NS,
-    CAMERA,
-    IMAGES,
-    ODOMETRY,
-    Walk,
-    world_from_camera,
-)
+from tests.helpers.sequence_files import BASE_FROM_CAMERA, BEGIN_NS, CAMERA, IMAGES, ODOMETRY, Walk, world_from_camera
 
 INFO = "/camera/camera_info"
 SECOND = 10**9
@@ -490,32 +481,6 @@ def _firsts(frames: list[tuple[int, Frame]]) -> list[Frame]:
 
 
 # --- topics ---------------------------------------------------------------------------------------
-
-
-def test_of_two_cameras_one_must_be_named(raws: list[RawMessage], walk_file: Path) -> None:
-    second = [raw._replace(topic="/rear/image") for raw in raws if raw.topic == IMAGES]
-    robot = Robot(offering([*raws, *second]))
-    with pytest.raises(SequenceError, match=r"2 image topics.*--image-topic; found .*/rear/image") as caught:
-        robot.try_to_open()
-    assert not isinstance(caught.value, NotFoundError)
-    robot = lived([*raws, *second], ReadingOptions(image_topic=IMAGES))
-    require_same([frame for _, frame in robot.frames], SequenceReader(walk_file))
-
-
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        (ReadingOptions(image_topic=ODOMETRY), r"/odom is nav_msgs/Odometry, expected .* for --image-topic"),
-        (ReadingOptions(odometry_topic=IMAGES), r"is sensor_msgs/CompressedImage, expected .* for --odometry-topic"),
-        (ReadingOptions(camera_info_topic=ODOMETRY), r"/odom is nav_msgs/Odometry, expected .* for --camera-info"),
-    ],
-)
-def test_a_topic_of_another_type_than_its_option_wants_is_refused(
-    options: ReadingOptions, said: str, raws: list[RawMessage]
-) -> None:
-    with pytest.raises(SequenceError, match=said) as caught:
-        lived(raws, options)
-    assert not isinstance(caught.value, NotFoundError)
 
 
 def test_a_topic_that_is_published_with_two_types_is_refused(raws: list[RawMessage]) -> None:

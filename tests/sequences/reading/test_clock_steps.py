@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sequences.reading.clock_steps import ClockOfStream, Told
+from sequences.reading.timeline import ClockOfStream, StampKind
 from tests.helpers.checks import no_checks
 
 BEGIN_S = 1_700_000_000.0
 RATES = st.floats(1.0, 200.0)
 
 
-def told(stamps_s: Iterable[float], arrivals_s: Iterable[float]) -> list[Told]:
+def told(stamps_s: Iterable[float], arrivals_s: Iterable[float]) -> list[StampKind]:
     """What a clock says of stamps that arrive at some times, all of them seconds after the same moment."""
     clock = ClockOfStream()
     with no_checks():
@@ -87,16 +87,6 @@ def test_the_third_of_a_clock_that_was_set_says_so_and_those_after_it_are_usual(
     times = [t + (-by_s if is_back else by_s) * (n >= at) for n, t in enumerate(sent)]
     expected = ["usual"] * at + ["odd", "odd", "stepped"] + ["usual"] * (len(times) - at - 3)
     assert told(times, arrivals) == expected
-
-
-def test_a_clock_may_be_set_again_and_again() -> None:
-    arrivals = at_rate(10.0, 20.0)
-    steps = [0.0, -5.0, 3.0, 1.5, -3600.0]
-    times = [t + sum(steps[: int(t // 4) + 1]) for t in arrivals]
-    said = told(times, arrivals)
-    assert [n for n, each in enumerate(said) if each == "stepped"] == [42, 82, 122, 162]
-    assert said.count("odd") == 8
-    assert said.count("usual") == len(times) - 12
 
 
 def test_odd_stamps_that_disagree_or_go_back_make_no_step() -> None:

@@ -30,8 +30,6 @@ from vapor.track import main
 from vapor.training_data.entries import open_sequences
 from vapor.training_data.load import load_training_set
 
-# --- what is found by itself ----------------------------------------------------------------------
-
 
 def test_without_any_the_error_says_what_could_give_them(tmp_path: Path) -> None:
     path = record(tmp_path / "a.mcap", images(), mounted(), odometry(stamps()))
@@ -80,9 +78,6 @@ def test_odometry_named_as_the_truth_is_not_taken_for_odometry(tmp_path: Path) -
         SequenceReader(path)
     named = SequenceReader(path, SequenceOptions(odometry_topic="/odom"))
     assert named.resolved["ground_truth_topic"] == "/truth"
-
-
-# --- what is wrong --------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("message_type", TYPES + TYPES_OF_UNSAID)
@@ -160,9 +155,6 @@ def test_what_is_called_tf_and_has_no_transforms_is_no_tf(topic: str, encoding: 
     reader = SequenceReader(path, odometry="optional")
     assert len(list(reader)) == 12
     assert reader.camera is None
-
-
-# --- commands -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("command", ["train", "calibrate"])

@@ -12,8 +12,7 @@ from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.options import OdometryUse
 from sequences.reader import SequenceReader
-from sequences.reading.counts import AFTER, BEFORE, IN_GAP
-from sequences.reading.left_out import ODD
+from sequences.reading.counts import AFTER, BEFORE, IN_GAP, ODD
 from tests.helpers.other_recordings import close
 from tests.helpers.sequence_files import BEGIN_NS, IMAGES, Walk, rewrite, world_from_camera
 

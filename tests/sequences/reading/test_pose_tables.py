@@ -186,11 +186,7 @@ def test_a_jump_in_a_file_is_counted(walk: Path, tmp_path: Path) -> None:
         ("a.csv", "1,0,0,nan,1,0,0,0\n", r"a\.csv:1: .*is no finite position"),
         ("a.csv", "#t\n2,0,0,0,1,0,0,0\n1,0,0,0,1,0,0,0\n", r"a\.csv:3: time 1 ns is not after the line before"),
         ("a.csv", f"{10**25},0,0,0,1,0,0,0\n", r"a\.csv:1: nanoseconds: .* expected a whole number between"),
-        (
-            "a.txt",
-            "1 0 0 0 0 1 0 0 0 0 1 0\n",
-            r"times\.txt: no such file, expected the times of a\.txt, or --poses-t",
-        ),
+        ("a.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n", r"times\.txt: no such file, expected the times of a\.txt, or --poses-t"),
         ("a.txt", "1 0 0 0 0 1 0 0 0 0 2 0\n", r"a\.txt:1: no finite rotation and translation"),
         ("a.txt", "1 0 0 0 0 1 0 0 0 0 -1 0\n", r"a\.txt:1: a mirroring, no rotation"),
         ("a.txt", "1 0 0 0 0 1 0 0 0 0 x 0\n", r"a\.txt:1: 'x' is no number"),

@@ -13,13 +13,20 @@ from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
 from sequences.reading.counts import IN_GAP, OUTSIDE
 from tests.helpers.other_recordings import MS, close, relogged, stamped
-from tests.helpers.sequence_files import (
-    BEGIN_NS,
-    IMAGES,
-    Walk,
-    rewrite,
-    world_from_camera,
-)
+from tests.helpers.sequence_files import BEGIN_NS, IMAGES, Walk, rewrite, world_from_camera
+
+
+def require_same(reader: SequenceReader, reference: Path) -> None:
+    """The frames are those of another recording."""
+    for frame, expected in zip(reader, SequenceReader(reference), strict=True):
+        assert frame.time_ns == expected.time_ns
+        np.testing.assert_array_equal(frame.image, expected.image)
+        assert close(frame.world_from_camera, world_from_camera(frame.time_ns), 1e-3)
+        if expected.odometry is not None:
+            assert frame.odometry is not None
+            moved = frame.odometry.previous_from_current
+            assert close(moved, expected.odometry.previous_from_current, 1e-12)
+    assert reader.skipped == {}
 
 
 @pytest.mark.parametrize("topic", [IMAGES, "/odom", "/ground_truth/pose"])
@@ -34,16 +41,7 @@ def test_neighbours_logged_in_swapped_order_are_used_in_the_order_of_their_stamp
     with open(tmp_path / "out.mcap", "rb") as file:
         stamps = [bytes(message.data[4:12]) for _, _, message in make_reader(file).iter_messages([topic])]
     assert sorted(stamps, key=lambda s: struct.unpack("<II", s)) != stamps  # the precondition
-    reference = list(SequenceReader(source))
-    for frame, expected in zip(reader, reference, strict=True):
-        assert frame.time_ns == expected.time_ns
-        np.testing.assert_array_equal(frame.image, expected.image)
-        assert close(frame.world_from_camera, world_from_camera(frame.time_ns), 1e-3)
-        if expected.odometry is not None:
-            assert frame.odometry is not None
-            moved = frame.odometry.previous_from_current
-            assert close(moved, expected.odometry.previous_from_current, 1e-12)
-    assert reader.skipped == {}
+    require_same(reader, source)
 
 
 @pytest.mark.parametrize("topic", ["/odom", "/ground_truth/pose", IMAGES])
@@ -51,15 +49,7 @@ def test_neighbours_logged_in_swapped_order_are_used_in_the_order_of_their_stamp
 def test_however_late_a_topic_is_logged_all_images_are_used(topic: str, late_s: float, tmp_path: Path) -> None:
     source = Walk(30).write(tmp_path / "in.mcap")
     path = relogged(source, tmp_path / "out.mcap", lambda name, _: round(late_s * 1e9) if name == topic else 0)
-    reader = SequenceReader(path)
-    for frame, expected in zip(reader, SequenceReader(source), strict=True):
-        assert frame.time_ns == expected.time_ns
-        assert close(frame.world_from_camera, world_from_camera(frame.time_ns), 1e-3)
-        if expected.odometry is not None:
-            assert frame.odometry is not None
-            moved = frame.odometry.previous_from_current
-            assert close(moved, expected.odometry.previous_from_current, 1e-12)
-    assert reader.skipped == {}
+    require_same(SequenceReader(path), source)
 
 
 def test_odometry_that_is_too_sparse_is_told_from_one_that_ends(tmp_path: Path) -> None:
@@ -84,15 +74,7 @@ def test_stamps_that_are_all_equal_are_an_error_that_names_the_log_times(
     said = "zero" if moment == 0 else f"{moment} ns"
     with pytest.raises(SequenceError, match=rf"headers of all {what} are {said}, expected increasing.*--stamps log"):
         list(SequenceReader(path))
-    frames = list(SequenceReader(path, SequenceOptions(stamps="log")))
-    reference = list(SequenceReader(walk_file))
-    for frame, expected in zip(frames, reference, strict=True):
-        assert frame.time_ns == expected.time_ns
-        assert close(frame.world_from_camera, world_from_camera(frame.time_ns))
-        if expected.odometry is not None:
-            assert frame.odometry is not None
-            moved = frame.odometry.previous_from_current
-            assert close(moved, expected.odometry.previous_from_current, 1e-12)
+    require_same(SequenceReader(path, SequenceOptions(stamps="log")), walk_file)
 
 
 def test_where_log_times_are_equal_too_no_option_is_named(tmp_path: Path) -> None:

@@ -32,12 +32,8 @@ def with_second(tmp_path: Path, topic: str, name: str) -> Path:
     return bag
 
 
-# --- topics ---------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
-    ("topic", "role"),
-    [(IMAGES, "image"), ("/odom", "odometry"), ("/ground_truth/pose", "ground-truth")],
+    ("topic", "role"), [(IMAGES, "image"), ("/odom", "odometry"), ("/ground_truth/pose", "ground-truth")]
 )
 def test_of_several_topics_one_must_be_named(topic: str, role: str, tmp_path: Path) -> None:
     path = with_second(tmp_path, topic, "/other")
@@ -72,9 +68,6 @@ def test_a_topic_of_two_types_is_refused_with_both(tmp_path: Path) -> None:
     said = r"'/ground_truth/pose' has messages of 'geometry_msgs/PoseStamped' \('cdr'\) and of 'nav_msgs/Odometry'"
     with pytest.raises(SequenceError, match=said):
         list(SequenceReader(bag, SequenceOptions(ground_truth_topic="/ground_truth/pose")))
-
-
-# --- extrinsics -----------------------------------------------------------------------------------
 
 
 def test_without_tf_the_error_names_both_frames_and_an_option_helps(walk_file: Path, tmp_path: Path) -> None:

@@ -30,8 +30,6 @@ from tests.helpers.tf_files import (
 )
 from tests.helpers.true_poses import TYPES, TYPES_OF_UNSAID, read, require_true
 
-# --- topics ---------------------------------------------------------------------------------------
-
 
 @pytest.mark.parametrize("message_type", TYPES + TYPES_OF_UNSAID)
 def test_every_type_gives_the_poses_of_the_camera(message_type: str, tmp_path: Path) -> None:
@@ -100,9 +98,6 @@ def test_stamps_that_run_backwards_are_counted(tmp_path: Path) -> None:
     frames = posed_frames(path, options=SequenceOptions(ground_truth_topic="/truth"))
     require_true(list(frames))
     assert frames.skipped == {"true poses: time stamp not increasing": 2}
-
-
-# --- tf -------------------------------------------------------------------------------------------
 
 
 def test_poses_come_through_the_tree_of_transforms(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable
+from functools import reduce
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -38,9 +39,6 @@ def same(a: Poses | None, b: Poses, tolerance: float = 1e-12) -> bool:
 
 def read(path: Path, **options: Any) -> list:
     return list(SequenceReader(path, SequenceOptions(**options), odometry="unread"))
-
-
-# --- what is read ----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
@@ -137,9 +135,6 @@ def test_libraries_are_loaded_only_for_what_needs_them() -> None:
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-# --- what is wrong ---------------------------------------------------------------------------------
-
-
 def changed(source: Path, target: Path, topic: str, change: Callable[[bytes], bytes], index: int = 5) -> Path:
     """A copy in which one message of a topic is changed."""
     damaged_ns = BEGIN_NS + 100 * MS * index
@@ -148,28 +143,23 @@ def changed(source: Path, target: Path, topic: str, change: Callable[[bytes], by
     )
 
 
-def without(*names: str) -> Callable[[bytes], bytes]:
+def edited(edit: Callable[[dict, str], None], names: tuple[str, ...]) -> Callable[[bytes], bytes]:
+    """JSON whose field of some path is changed."""
+
     def change(data: bytes) -> bytes:
         fields = json.loads(data)
-        inner = fields
-        for name in names[:-1]:
-            inner = inner[name]
-        del inner[names[-1]]
+        edit(reduce(dict.__getitem__, names[:-1], fields), names[-1])
         return json.dumps(fields).encode()
 
     return change
+
+
+def without(*names: str) -> Callable[[bytes], bytes]:
+    return edited(dict.__delitem__, names)
 
 
 def having(value: object, *names: str) -> Callable[[bytes], bytes]:
-    def change(data: bytes) -> bytes:
-        fields = json.loads(data)
-        inner = fields
-        for name in names[:-1]:
-            inner = inner[name]
-        inner[names[-1]] = value
-        return json.dumps(fields).encode()
-
-    return change
+    return edited(lambda fields, name: fields.update({name: value}), names)
 
 
 BAD_POSES = {

@@ -20,7 +20,7 @@ from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
 from sequences.recordings import mcap_file, recording_file
 from sequences.recordings.bag import Bag
-from sequences.recordings.mcap_records import unpack_chunk
+from sequences.recordings.mcap_file import unpack_chunk
 from tests.helpers.lossy_mcap import chunks, damaged, id_of, records, without_ten_images
 from tests.helpers.sequence_files import BEGIN_NS, IMAGES, as_file_without_index, rewrite
 
@@ -146,9 +146,6 @@ def test_a_footer_that_hides_what_the_file_states_is_refused(walk_file: Path, tm
     path = damaged(walk_file, tmp_path / "a.mcap", with_a_second_footer, use_chunking=False)
     with pytest.raises(SequenceError, match=r"footer with \d+ bytes behind it, expected it at the end"):
         Bag(path)
-
-
-# --- in which order, and how often a chunk is unpacked --------------------------------------------
 
 
 def topic_after_topic(source: Path, target: Path, **options: object) -> Path:

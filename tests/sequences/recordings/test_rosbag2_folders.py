@@ -11,13 +11,7 @@ from sequences.errors import SequenceError
 from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
 from sequences.recordings.bag import Bag
-from tests.helpers.sequence_files import (
-    IMAGES,
-    as_file_without_index,
-    as_split_folder,
-)
-
-# --- rosbag2 folders ------------------------------------------------------------------------------
+from tests.helpers.sequence_files import IMAGES, as_file_without_index, as_split_folder
 
 
 @pytest.mark.parametrize(
@@ -49,9 +43,6 @@ def images_of(bag: Path) -> tuple[int, list[str]]:
     """How many images are read of a folder, and the notices."""
     reader = SequenceReader(bag, SequenceOptions(ground_truth_topic=""), odometry="unread")
     return len(list(reader)), reader.notices
-
-
-# --- what the metadata.yaml of a folder states ----------------------------------------------------
 
 
 def test_a_folder_that_has_what_its_listing_states_is_read_without_a_word(walk_file: Path, tmp_path: Path) -> None:
@@ -112,7 +103,7 @@ def test_a_listing_that_states_no_numbers_is_read_with_a_notice(walk_file: Path,
     bag = as_split_folder(walk_file, tmp_path)
     listing = bag / "metadata.yaml"
     whole = listing.read_text()
-    told = "metadata.yaml states no number of messages: images of files that it lost cannot be told"
+    told = "metadata.yaml states no number of messages: images in lost files go unnoticed"
     zeros = re.sub(r"message_count: \d+", "message_count: 0", whole)  # as of a recorder that was killed
     for text in (zeros, "relative_file_paths: [bag_0.mcap, bag_1.mcap]\n"):
         listing.write_text(text)

@@ -8,7 +8,7 @@ from mcap.writer import IndexType
 
 from sequences.datasets.frames import posed_frames
 from sequences.errors import SequenceError
-from sequences.images.streams import Stills
+from sequences.images.video import ImageStream
 from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
 from sequences.reading.counts import OUTSIDE
@@ -98,8 +98,8 @@ def test_who_stops_gets_no_more_frames_and_whole_counts(walk_of_25: Path) -> Non
 def test_an_image_that_is_neither_used_nor_skipped_is_an_error(
     walk_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    take, times = Stills.take, iter(range(100))
-    monkeypatch.setattr(Stills, "take", lambda *given: [] if next(times) == 5 else take(*given))
+    take, times = ImageStream.take, iter(range(100))
+    monkeypatch.setattr(ImageStream, "take", lambda *given: [] if next(times) == 5 else take(*given))
     said = rf"walk\.mcap: {IMAGES}: 11 images used and 0 skipped, expected the 12 that are stated"
     with pytest.raises(SequenceError, match=said):
         list(SequenceReader(walk_file))

@@ -21,7 +21,7 @@ OUTPUTS = {
     "benchmark": ["vapor-benchmark", "localization", "ceiling", "--models", "m.safetensors", "--output"],
     "faults": ["vapor-benchmark", "faults", "ceiling", "--models", "m.safetensors", "--output"],
     "recorded faults": [
-        *("vapor-benchmark", "faults", "--recordings", "walk.mcap", "--models", "m.safetensors", "--output"),
+        *("vapor-benchmark", "faults", "--recordings", "walk.mcap", "--models", "m.safetensors", "--output")
     ],
     "real": ["vapor-benchmark", "real", "--data", "real", "--only", "stairs_hloc", "--output"],
     "table": ["vapor-benchmark", "regressors", "round-table", "--output"],
@@ -147,10 +147,7 @@ READ = {
     "recorded faults": (OUTPUTS["recorded faults"], ["."]),
     "real": (["vapor-benchmark", "real", "--data", "real", "--output"], [".", "real/7scenes_stairs"]),
     "table's model": ([*OUTPUTS["table"][:-1], "--train.initial-model", "m.safetensors", "--output"], ["."]),
-    "table's weights": (
-        [*OUTPUTS["table"][:-1], "--train.pretrained-weights", "m.safetensors", "--output"],
-        ["."],
-    ),
+    "table's weights": ([*OUTPUTS["table"][:-1], "--train.pretrained-weights", "m.safetensors", "--output"], ["."]),
     "table": (["vapor-benchmark", "regressors", "own=data=walk.mcap", "--output"], [".", "data/seq-01"]),
 }
 """Words of a command that reads, and outputs that are read, or that hold or lie in what is."""

@@ -8,7 +8,7 @@ from rich.console import Console
 
 from vapor.commands import progress as progress_module
 from vapor.commands.progress import LOG_EVERY_S, Pace, Progress, duration, progress
-from vapor.commands.train import _tell
+from vapor.commands.train import _show_progress
 from vapor.evaluation.validation import Validation
 from vapor.training.progress import Progress as Where
 
@@ -90,10 +90,10 @@ def test_a_log_is_told_which_stage_begins_and_what_came_of_each(capsys):
 def test_more_than_expected_is_all_and_nothing_done_is_not_told(capsys):
     told, _ = in_a_log()
     told(0, 0)
-    assert told.said() == "localizing"
+    assert told.line() == "localizing"
     told.end()
     told(7, 5)
-    assert told.said().startswith("localizing: 7 of 7 images, 100 %")
+    assert told.line().startswith("localizing: 7 of 7 images, 100 %")
     assert capsys.readouterr().err == ""
 
 
@@ -110,12 +110,12 @@ def test_after_an_error_a_log_has_no_last_line(capsys):
 
 def test_a_log_of_a_training_has_its_notes_figures_and_time_left(capsys):
     told, clock = in_a_log("", "images")
-    _tell(told, Where("reading", 30))
-    _tell(told, Where("holding out", 5, notes=("nothing is held out",)))
+    _show_progress(told, Where("reading", 30))
+    _show_progress(told, Where("holding out", 5, notes=("nothing is held out",)))
     best = Validation(epoch=2, train_loss=0.7, log_density=1.5, sample_recall=0.25, mode_recall=0.5)
     for done in range(1, 13):
         clock.now_s += 1.0
-        _tell(told, Where("training", done, 40, epoch=3, epochs=10, loss=0.5, validation=best))
+        _show_progress(told, Where("training", done, 40, epoch=3, epochs=10, loss=0.5, validation=best))
     lines = capsys.readouterr().err.splitlines()
     assert lines[:-1] == ["reading", "reading: 30 images in 0 s", "holding out", "nothing is held out", *lines[4:-1]]
     assert re.fullmatch(

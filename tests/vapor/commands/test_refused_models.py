@@ -1,32 +1,15 @@
 """Models that a run refuses, and outputs that it cannot write to."""
 
 import pytest
-import torch
 
 from tests.helpers.command_line import contents, refuse, refuse_run, words_of_run
 from tests.helpers.tiny_model import altered
 from vapor.checkpoints import shipped_models
 
-HEAD = "network.latent_mean.weight"
 
-
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        (
-            lambda t, m: m.update(version="1"),
-            "format version is '1', expected '10'; train the model anew",
-        ),
-        (lambda t, m: m.update(format="other"), "format is 'other'"),
-        (lambda t, m: t.pop(HEAD), f"lacks tensor {HEAD} (1 such), expected exactly the"),
-        (lambda t, m: t.update({"network.more": torch.zeros(1)}), "has surplus tensor network.more"),
-        (lambda t, m: t.update({HEAD: torch.zeros(4, 15)}), f"{HEAD} has shape (4, 15), expected (4, 16)"),
-        (lambda t, m: t.update({HEAD: torch.full((4, 16), torch.nan)}), f"{HEAD} has values that are not finite"),
-    ],
-)
-def test_a_model_of_other_content_is_refused(change, said, walk_of_25, tiny_model, earlier, capsys):
-    model = altered(tiny_model, earlier.parent / "other.safetensors", change)
-    refuse_run(walk_of_25, model, earlier, capsys, model, said)
+def test_a_model_of_another_version_is_refused(walk_of_25, tiny_model, earlier, capsys):
+    model = altered(tiny_model, earlier.parent / "other.safetensors", lambda t, m: m.update(version="1"))
+    refuse_run(walk_of_25, model, earlier, capsys, model, "format version is '1', expected '10'; train the model anew")
 
 
 @pytest.mark.parametrize("content", [b"", b"no model", b"\x80\x04pickled" * 100])

@@ -56,11 +56,10 @@ def test_garbage_is_refused(content, said, tiny_model, earlier, capsys):
     refuse_run(path, tiny_model, earlier, capsys, path, said)
 
 
-@pytest.mark.parametrize("share", [0.02, 0.5, 0.999])
-def test_a_truncated_recording_is_refused(share, walk_of_25, tiny_model, earlier, capsys):
+def test_a_truncated_recording_is_refused(walk_of_25, tiny_model, earlier, capsys):
     path = earlier.parent / "cut.mcap"
     content = walk_of_25.read_bytes()
-    path.write_bytes(content[: int(share * len(content))])
+    path.write_bytes(content[: len(content) // 2])
     refuse_run(path, tiny_model, earlier, capsys, path, "truncated", "expected the closing MCAP magic")
 
 

@@ -9,8 +9,8 @@ from filtering.se3 import Poses
 from sequences.frame import Trajectory
 from sequences.trajectories.tum import write_tum
 from tests.helpers.simulated_run import true_walk
+from vapor.commands.evaluate import evaluate_directory
 from vapor.evaluation.consistency import evaluate_consistency
-from vapor.evaluation.run_directory import evaluate_directory
 from vapor.evaluation.trajectory import associate, convergence_s, evaluate_trajectory
 from vapor.tracking.dead_reckoning import dead_reckoning
 
@@ -40,10 +40,7 @@ def test_the_truth_itself_has_no_error_and_converges_at_once():
         "worse_than": {"0.1m": 0.0, "0.25m": 0.0, "0.5m": 0.0},
         "converged_at_s": 0.0,
         "success": True,
-        "after_convergence": {
-            "images": 100,
-            "recall": {"0.1m/10deg": 1.0, "0.2m/15deg": 1.0, "0.3m/20deg": 1.0},
-        },
+        "after_convergence": {"images": 100, "recall": {"0.1m/10deg": 1.0, "0.2m/15deg": 1.0, "0.3m/20deg": 1.0}},
     }
 
 
@@ -81,11 +78,6 @@ def test_position_recall_asks_where_the_camera_is_and_not_which_way_it_looks():
     metrics = evaluate_trajectory(estimate, truth, tracking=False)
     assert metrics["position_recall"] == {"1m": 0.25, "3m": 0.5, "5m": 0.75}
     assert metrics["recall"]["0.3m/20deg"] == 0.0
-
-
-def test_a_trajectory_displaced_as_a_whole_is_not_aligned_away():
-    estimate = shifted(walk(), np.full(100, 3.0), np.zeros(100))
-    assert evaluate_trajectory(estimate, walk(), tracking=False)["ape_rmse_m"] == pytest.approx(3.0)
 
 
 def test_the_translation_error_agrees_with_evo():
@@ -132,11 +124,6 @@ def test_convergence_agrees_with_its_definition_written_out():
     assert 50 < sum(answer is None for answer in answers) < 250
 
 
-def test_convergence_counts_from_the_first_image():
-    right = np.arange(100) >= 40
-    assert convergence_s(np.arange(100) * S + 7 * S, right) == 40.0
-
-
 def test_one_wrong_image_in_twenty_is_forgiven_and_two_are_not():
     times_ns = np.arange(40) * S
     right = np.ones(40, bool)
@@ -151,10 +138,6 @@ def test_being_right_only_in_the_last_fifth_is_no_convergence():
     assert convergence_s(times_ns, np.arange(101) >= 79) == 79.0
     assert convergence_s(times_ns, np.arange(101) >= 80) is None
     assert convergence_s(times_ns[:1], np.array([True])) is None
-
-
-def test_a_single_image_method_gets_no_convergence():
-    assert "success" not in evaluate_trajectory(walk(), walk(), tracking=False)
 
 
 # --- association --------------------------------------------------------------------------------------

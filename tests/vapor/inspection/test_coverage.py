@@ -6,8 +6,7 @@ import pytest
 from filtering.floors import find_floors
 from filtering.se3 import Poses
 from tests.helpers.corridors import corridor, recorded, stairwell
-from vapor.inspection.coverage import Coverage
-from vapor.inspection.plan import Plan
+from vapor.inspection.coverage import Coverage, Plan
 from vapor.training.holding_out import shown_by
 
 

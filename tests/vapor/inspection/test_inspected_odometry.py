@@ -93,7 +93,7 @@ def test_swapped_axes_are_named_and_put_right_before_errors_are_fitted():
     assert found.axes is not None
     assert found.axes.swapped
     np.testing.assert_allclose(found.axes.turned, left)
-    assert found.axes.said().startswith("odometry's forward looks like the true poses' left")
+    assert found.axes.in_words().startswith("odometry's forward looks like the true poses' left")
     assert found.fit is not None
     assert found.fit.scale == pytest.approx(0.03, abs=0.008)
 
@@ -113,14 +113,8 @@ def test_a_left_handed_frame_is_named_and_no_turn(across):
 @pytest.mark.parametrize(
     ("unit_m", "said"),
     [
-        (
-            1e-3,
-            "by odometry the camera moves (99.|1...).* times as far as by the true poses, .* were in millimetres",
-        ),
-        (
-            1e3,
-            "by the true poses the camera moves (99.|1...).* times as far as by odometry, .* were in millimetres",
-        ),
+        (1e-3, "by odometry the camera moves (99.|1...).* times as far as by the true poses, .* were in millimetres"),
+        (1e3, "by the true poses the camera moves (99.|1...).* times as far as by odometry, .* were in millimetres"),
         (1e-2, "in centimetres"),
         (0.3048, "in feet"),
         (1 / 7.3, "in another unit"),

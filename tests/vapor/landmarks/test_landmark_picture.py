@@ -21,7 +21,7 @@ from vapor.landmarks.view_camera import ViewCamera
 from vapor.pipeline.config import RunConfig
 from vapor.pipeline.model import load_model
 from vapor.pipeline.run import VerifiedImages, run
-from vapor.reporting.landmark_picture import landmark_caption, landmark_picture
+from vapor.reporting.html.run_page import landmark_caption, landmark_picture
 
 SHARP = ErrorModel(floor=(0.01,) * 3 + (0.003,) * 3, typical_std=(0.01,) * 3 + (0.003,) * 3)
 SOMEWHERE = PosePosterior.from_estimates(Poses.identity(1), 0.3, 0.1, ErrorModel())
@@ -111,7 +111,7 @@ def test_the_image_in_the_middle_of_those_that_verify_a_place_is_shown_and_the_p
     poses = [Poses(np.eye(3), np.array([x, 0.0, 0.0])) for x in (0.0, 5.0)]
     found = [VerifiedPose(pose, np.eye(6), 20, np.zeros((20, 2)), np.zeros((20, 2))) for pose in poses]
     images = _observed([(), *[found] * 150, *[()] * 49])
-    assert len(images._kept) < 8
+    assert len(images._kept.kept) < 8
     pixel, number, which = images.middle(Poses.stack([poses[1]] * 200))
     assert pixel == number
     assert abs(number - 75) <= 20

@@ -16,10 +16,8 @@ from tests.helpers import cluster_jobs as jobs
 from vapor.checkpoints.shipped_models import SHIPPED
 from vapor.commands.workers import hush_dask, workers_for
 from vapor.parallel import cluster as cluster_module
-from vapor.parallel import worker as worker_module
-from vapor.parallel.cluster import ClusterError, connected
+from vapor.parallel.cluster import About, ClusterError, connected, packed
 from vapor.parallel.jobs import Workers, in_parallel
-from vapor.parallel.worker import About, packed
 from vapor.storage import local_path
 
 
@@ -90,7 +88,7 @@ def test_workers_of_another_version_are_refused_by_name_also_those_that_come_lat
         later = replace(cluster, expected=About("9.9", "abc"))
         with pytest.raises(ClusterError, match=r"worker tcp://\S+ has vapor-track .*, expected vapor-track 9\.9 with"):
             list(in_parallel(jobs.fill_disk, [(0,)], Workers(1, later)))
-    monkeypatch.setattr(worker_module, "code_digest", lambda *_: "changed")
+    monkeypatch.setattr(cluster_module, "code_digest", lambda *_: "changed")
     with (
         pytest.raises(
             ClusterError, match=r"worker tcp://\S+ has .* expected .* code changed .* as here; so have 1 more"
@@ -142,7 +140,7 @@ def test_a_scheduler_that_goes_away_is_told(monkeypatch):
         results = in_parallel(time.sleep, [(0.1,)] * 20, Workers(1, cluster))
         next(results)
         local.close()
-        with pytest.raises(ClusterError, match=r"the scheduler went away; what is done stays"):
+        with pytest.raises(ClusterError, match=r"the scheduler went away; finished jobs stay"):
             list(results)
 
 
@@ -156,7 +154,7 @@ def test_paths_mean_the_same_on_another_machine(tmp_path, monkeypatch):
     content = packed(Path.joinpath, (Path("walk.mcap"), copy, SHIPPED / "ceiling.safetensors", {"in": [Path("x")]}))
     monkeypatch.chdir(there)
     monkeypatch.setenv("XDG_CACHE_HOME", str(there))
-    monkeypatch.setattr(worker_module, "_PACKAGE", Path("/usr/lib/vapor"))
+    monkeypatch.setattr(cluster_module, "_PACKAGE", Path("/usr/lib/vapor"))
     _, (relative, other_copy, shipped, nested) = pickle.loads(content)
     assert relative == here / "walk.mcap"
     assert other_copy == local_path("s3://bucket/walk.mcap") != copy

@@ -4,7 +4,7 @@ import pytest
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 from tests.helpers import cluster_jobs as jobs
-from vapor.parallel import processes
+from vapor.parallel import jobs as jobs_module
 from vapor.parallel.jobs import Workers, in_parallel
 
 
@@ -19,7 +19,7 @@ def test_what_a_process_that_dies_had_begun_is_begun_again(tmp_path):
 
 
 def test_a_job_that_ends_its_process_each_time_is_given_up(monkeypatch):
-    monkeypatch.setattr(processes, "_TRIES", 2)
+    monkeypatch.setattr(jobs_module, "_TRIES", 2)
     told = []
     with pytest.raises(TerminatedWorkerError):
         list(in_parallel(jobs.end, [(0,), (1,)], Workers(2, tell=told.append)))

@@ -6,9 +6,9 @@ from contextlib import nullcontext
 
 import pytest
 
-from vapor.pipeline.ahead import ahead
+from vapor.pipeline.localize import ahead
 
-ROOM = 3
+ROOM = 2
 
 
 class Counted:
@@ -33,13 +33,13 @@ class Counted:
 
 
 def test_items_come_in_order_and_none_is_lost():
-    with ahead(range(1000), room=ROOM) as items:
+    with ahead(range(1000)) as items:
         assert list(items) == list(range(1000))
 
 
 def test_no_more_items_are_computed_than_there_is_room_for():
     source = Counted(100)
-    with ahead(source, room=ROOM) as items:
+    with ahead(source) as items:
         for i in items:
             if i == 0:
                 assert source.full.wait(5.0)  # it works ahead while the first is in use
@@ -48,7 +48,7 @@ def test_no_more_items_are_computed_than_there_is_room_for():
 
 
 def test_an_error_comes_in_the_place_of_the_item_that_it_kept_from_being_computed():
-    with ahead(Counted(5, ValueError("the sixth")), room=ROOM) as items:
+    with ahead(Counted(5, ValueError("the sixth"))) as items:
         assert [next(items) for _ in range(5)] == [0, 1, 2, 3, 4]
         with pytest.raises(ValueError, match="the sixth"):
             next(items)

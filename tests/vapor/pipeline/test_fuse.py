@@ -20,8 +20,8 @@ from sequences.odometry import OdometryNoise
 from sequences.trajectories.tum import read_tum, write_tum
 from tests.helpers.pose_text import FRAMES, file_of, hypotheses, moved, noisy, walk, write_named
 from tests.helpers.simulation import ERRORS
-from vapor.evaluation.run_directory import evaluate_directory
-from vapor.pipeline.estimate_model import EstimateConfig, EstimateModel, errors_of
+from vapor.commands.evaluate import evaluate_directory
+from vapor.pipeline.fuse import EstimateConfig, EstimateModel, errors_of
 from vapor.track import main
 from vapor.tracking.methods import FILES
 

@@ -13,7 +13,7 @@ from sequences.trajectories.tum import read_tum
 from tests.helpers.full import full
 from tests.helpers.pose_text import file_of, hypotheses, moved, noisy, walk
 from tests.helpers.simulation import ERRORS
-from vapor.pipeline.estimate_model import EstimateConfig, EstimateModel, mixture_weights
+from vapor.pipeline.fuse import EstimateConfig, EstimateModel, mixture_weights
 from vapor.track import main
 
 SMALL = ["--localizer.max-hypotheses", "60", "--no-recording"]

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from vapor.pipeline.unrecognised import SomeImages, are_unrecognised, why_unrecognised
+from vapor.pipeline.unrecognised import are_unrecognised, why_unrecognised
 
 SCENE = np.random.default_rng(3).integers(60, 180, (12, 12, 3)).astype(np.uint8)
 SCENE[..., 0] += 60  # reddish
@@ -32,18 +32,8 @@ def unlike_the_scene(image: np.ndarray, camera: object) -> float:
     ],
 )
 def test_the_change_that_makes_images_familiar_is_named(fault: Callable[[np.ndarray], np.ndarray], said: str):
-    some = SomeImages()
-    for _ in range(3):
-        some.add(np.ascontiguousarray(fault(SCENE)), None)
-    assert said in why_unrecognised(some, unlike_the_scene)
-
-
-def test_images_are_kept_evenly_whatever_their_number():
-    some = SomeImages()
-    for number in range(100):
-        some.add(np.full((1, 1, 3), number, np.uint8), None)
-    kept = [int(image[0, 0, 0]) for image, _ in some.images]
-    assert kept == list(range(0, 100, 8))
+    images = [(np.ascontiguousarray(fault(SCENE)), None)] * 3
+    assert said in why_unrecognised(images, unlike_the_scene)
 
 
 def test_images_are_unrecognised_where_many_are_lost_and_few_converge():

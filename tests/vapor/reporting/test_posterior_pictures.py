@@ -78,22 +78,22 @@ def test_a_picture_is_drawn_even_of_a_scene_without_extent(tmp_path, known):
     assert picture.std() > 10
 
 
-def test_the_command_draws_one_image_and_says_how_good_its_posterior_is(tmp_path, capfd):
+@pytest.fixture
+def words(tmp_path) -> list[str]:
     write_synthetic(synthesize("dinner-table", seed=0, num_frames=4, width=64, height=48), tmp_path / "s.mcap")
-    model = write_tiny_model(tmp_path / "m.safetensors")
-    words = ["posterior", str(tmp_path / "s.mcap"), "--model", str(model), "--output", str(tmp_path / "p.png")]
-    assert main([*words, "--image", "3", "--num-samples", "40"]) == 0
+    model, output = write_tiny_model(tmp_path / "m.safetensors"), tmp_path / "p.png"
+    return ["posterior", f"{tmp_path}/s.mcap", "--model", str(model), "--output", str(output), "--num-samples", "40"]
+
+
+def test_the_command_draws_one_image_and_says_how_good_its_posterior_is(words, tmp_path, capfd):
+    assert main([*words, "--image", "3"]) == 0
     assert "off; fewer than 10% of the samples within 0.3m/20deg" in capfd.readouterr().out
     assert (tmp_path / "p.png").stat().st_size > 5000
     assert main([*words, "--image", "4"]) == 1
     assert "no image with a true pose in frames 4:5" in capfd.readouterr().err
 
 
-def test_the_command_records_the_posterior_in_space_when_asked_and_replaces_only_recordings(tmp_path, capfd):
-    write_synthetic(synthesize("dinner-table", seed=0, num_frames=2, width=64, height=48), tmp_path / "s.mcap")
-    model = write_tiny_model(tmp_path / "m.safetensors")
-    words = ["posterior", str(tmp_path / "s.mcap"), "--model", str(model), "--output", str(tmp_path / "p.png")]
-    words += ["--num-samples", "40"]
+def test_the_command_records_the_posterior_in_space_when_asked_and_replaces_only_recordings(words, tmp_path, capfd):
     assert main(words) == 0
     assert not (tmp_path / "p.rrd").exists()
     for _ in range(2):  # the second time over its own

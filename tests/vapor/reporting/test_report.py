@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -9,8 +10,7 @@ from rich.console import Console
 
 from filtering.errors import VaporTrackError
 from tests.helpers.simulated_run import simulated_record, simulated_steps
-from vapor.reporting.keyframes import choose_keyframes
-from vapor.reporting.recorder import RunRecorder
+from vapor.reporting.record import EvenlySpaced, RunRecorder, choose_keyframes
 from vapor.reporting.report import build_report, format_table, is_report, write_report
 from vapor.tracking.dead_reckoning import dead_reckoning
 
@@ -43,7 +43,7 @@ def test_the_record_holds_every_image_in_order(record):
     assert record.status == tuple(estimate.status for estimate in estimates)
     assert record.num_modes.tolist() == [len(estimate.modes) for estimate in estimates]
     assert record.step_ms.tolist() == [step.step_ms for step in steps]
-    for name in ("agreement", "unfamiliarity", "effective_sample_size"):
+    for name in ("agreement", "unfamiliarity"):
         assert getattr(record, name).tolist() == [getattr(estimate, name) for estimate in estimates]
     expected = dead_reckoning(frames[0].world_from_camera, [frame.odometry for frame in frames])
     assert np.allclose(record.methods["dead_reckoning"].poses.as_matrix(), expected.as_matrix(), atol=1e-12)
@@ -166,8 +166,16 @@ def test_the_table_names_every_method_with_its_recall(record):
 def test_a_file_that_is_too_large_to_be_a_report_is_none(tmp_path):
     path = tmp_path / "report.json"
     path.write_text('{"frames": 1, "more": "' + "x" * 1000 + '"}')
-    assert is_report(path, "frames")
-    assert not is_report(path, "frames", "images")
+    assert is_report(path, ["frames"])
+    assert not is_report(path, ["frames", "images"])
     path.write_text(path.read_text() + " " * (64 << 20))
-    assert not is_report(path, "frames")
-    assert not is_report(tmp_path / "nowhere.json")
+    assert not is_report(path, ["frames"])
+    assert not is_report(tmp_path / "nowhere.json", [])
+
+
+@pytest.mark.parametrize(("most", "every"), [(300, 4), (23, 64), (150, 8)])
+def test_of_a_long_stream_items_are_kept_evenly(most, every):
+    kept = EvenlySpaced(most)
+    for number in range(1000):
+        kept.add(partial(int, number))
+    assert kept.items == [number for number, _ in kept.kept] == list(range(0, 1000, every))

@@ -25,7 +25,7 @@ def steps():
 
 def outputs_into(directory: Path) -> RunOutputs:
     baselines = Baselines(start_baselines(LocalizerConfig(), lambda: np.random.default_rng(0)))
-    return RunOutputs(baselines, directory, recording=True, view=False, particles=50)
+    return RunOutputs(baselines, directory, recording=True, view=False)
 
 
 def test_files_and_record_of_a_run_hold_baselines_and_what_is_known_at_the_end(tmp_path, steps):

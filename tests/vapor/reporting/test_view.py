@@ -1,4 +1,4 @@
-"""The viewers: one that shows nothing, one that writes a Rerun recording."""
+"""The viewer that writes a Rerun recording."""
 
 import resource
 from contextlib import contextmanager
@@ -13,20 +13,11 @@ from tests.helpers.rerun_files import entities_of
 from tests.helpers.simulated_run import simulated_steps
 from vapor.reporting.rerun_place import Place
 from vapor.reporting.rerun_viewer import RerunViewer
-from vapor.reporting.viewer import NullViewer
 
 
 @pytest.fixture(scope="module")
 def steps():
     return list(simulated_steps(25))
-
-
-def test_the_null_viewer_takes_every_image_and_leaves_nothing(tmp_path, monkeypatch, steps):
-    monkeypatch.chdir(tmp_path)
-    with NullViewer() as viewer:
-        for frame, step in steps:
-            viewer.log(frame, step.estimate, None)
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_recording_appears_under_its_name_only_when_closed(tmp_path, steps):

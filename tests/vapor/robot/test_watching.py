@@ -12,12 +12,11 @@ from filtering.estimate import Estimate
 from sequences.frame import Frame
 from tests.helpers.localizer_walks import new_localizer, walk
 from vapor.reporting.rerun_viewer import RerunViewer
-from vapor.reporting.viewer import NullViewer
 from vapor.robot import watching
 from vapor.robot.watching import WatchingViewer
 
 
-class Shown(NullViewer):
+class Shown(RerunViewer):
     """A viewer that remembers stamps; it may wait for a turn, or fail."""
 
     def __init__(self, *, turn: threading.Event | None = None, error: Exception | None = None) -> None:
@@ -31,7 +30,7 @@ class Shown(NullViewer):
         if self.turn is not None:
             self.turn.wait(5)
 
-    def close(self) -> None:
+    def close(self, *, keep: bool = True) -> None:
         self.is_closed = True
 
 

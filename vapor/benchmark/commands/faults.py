@@ -24,7 +24,7 @@ from vapor.commands.console import InputPath, parse, show
 from vapor.commands.progress import progress
 from vapor.commands.workers import workers_for
 from vapor.parallel.jobs import Workers
-from vapor.pipeline.find_sequences import unique_names
+from vapor.pipeline.fleet import unique_names
 from vapor.storage import fetched, url_of
 
 _CONFIG = with_help(

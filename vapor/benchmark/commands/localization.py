@@ -21,8 +21,7 @@ from vapor.commands.console import command_line, parse, show
 from vapor.commands.progress import progress
 from vapor.commands.workers import workers_for
 from vapor.parallel.jobs import Workers
-from vapor.reporting.html.findings_page import findings_page
-from vapor.reporting.html.page import Page, write_page
+from vapor.reporting.html.page import Page, findings_page, write_page
 from vapor.tracking.ablations import ABLATIONS
 
 _CONFIG = with_help(

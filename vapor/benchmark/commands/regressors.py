@@ -17,14 +17,13 @@ from vapor.benchmark import PROGRAM
 from vapor.benchmark.commands.outputs import SharedOutputPath, claim_shared, publish_results
 from vapor.benchmark.regressors.table import TableConfig, TableExperiment, failures, markdown, parse_scene, scene_tables
 from vapor.commands.console import Overwrite, command_line, show
-from vapor.commands.named_settings import Preset, parse_named
 from vapor.commands.progress import progress
+from vapor.commands.train import Preset, parse_named
 from vapor.commands.workers import Scheduler, workers_for
 from vapor.evaluation.trajectory import RIGHT
 from vapor.parallel.jobs import Workers
 from vapor.reporting.html import page as html
-from vapor.reporting.html.findings_page import findings_page
-from vapor.reporting.html.page import Page, write_page
+from vapor.reporting.html.page import Page, findings_page, write_page
 from vapor.reporting.report import write_report
 from vapor.training.config import TrainConfig
 from vapor.training.presets import PRESETS
@@ -87,7 +86,7 @@ def _fill_table(o: Options, workers: Workers, command: str) -> None:
 
 def _table_page(results: Sequence[Mapping[str, Any]], gamma: float, settings: Mapping[str, Any], command: str) -> Page:
     tables = scene_tables(results, gamma)
-    parts = [(each.scene, [html.Table(each.columns, each.rows, each.measured)]) for each in tables]
+    parts = [(each.scene, [html.table(each.columns, each.rows, each.measured)]) for each in tables]
     best = [f"{each.scene}: {each.best} has the highest recall within {RIGHT}, {each.best_recall}." for each in tables]
     said = " ".join(best) or "No network could be trained."
     asked = f"{len(results)} networks: every method on every scene, the same budget"

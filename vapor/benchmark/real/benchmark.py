@@ -35,7 +35,6 @@ _CODE = (
     "vapor.calibration",
     "vapor.checkpoints",
     "vapor.evaluation",
-    "vapor.pipeline.estimate_model",
     "vapor.pipeline.fuse",
     "vapor.tracking",
 )

@@ -24,7 +24,7 @@ from filtering.errors import VaporTrackError
 from filtering.motion import MotionNoise
 from filtering.se3 import Poses
 from sequences.datasets.frames import posed_frames
-from sequences.estimates.tracks import OdometryTrack
+from sequences.estimates.sequence import OdometryTrack
 from sequences.frame import BASE_FROM_CAMERA, Frame
 from sequences.odometry import OdometryNoise, simulate_odometry
 from sequences.writer import SequenceWriter

@@ -14,8 +14,7 @@ from sequences.estimates.options import EstimateOptions
 from sequences.estimates.sequence import EstimateSequence
 from sequences.odometry import OdometryNoise
 from vapor.benchmark.real.row import Draw, RowContext
-from vapor.pipeline.estimate_model import EstimateConfig, EstimateModel, errors_of
-from vapor.pipeline.fuse import over_sequences
+from vapor.pipeline.fuse import EstimateConfig, EstimateModel, errors_of, over_sequences
 from vapor.tracking.passage import Passage
 
 

@@ -1,198 +1,124 @@
-"""A page that says what a command found: one HTML file that needs no network, with all that it shows packed into it."""
+"""A page that shows what a command found: one HTML file that needs no network."""
 
 from __future__ import annotations
 
 import base64
 import gzip
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from html import escape
 from importlib import resources
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Literal
 
 from sequences.atomic import atomic_output
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+    from rich.table import Table as RichTable
 
 _BEGIN = '<!doctype html><html lang="en"><head><meta charset="utf-8"><meta name="generator" content="vapor-track">'
 _PACKING = 6  # of gzip: 9 takes twice as long for two per cent
 
 
-@runtime_checkable
-class Block(Protocol):
-    """Something on a page, one below the other."""
-
-    def html(self, packed: dict[str, Any]) -> str:
-        """Its HTML; what its script needs is put into `packed` under a name of its own."""
-        ...
-
-
 @dataclass(frozen=True)
-class Text:
-    """A paragraph.
+class Block:
+    """Part of a page: its HTML, and data for the script of the page, each under a name of its own."""
 
-    Attributes:
-        words: What it says, plain text.
-        kind: "note" for what explains, "notice" for what a person should know.
+    html: str
+    data: Mapping[str, Any] = field(default_factory=dict)
+
+
+def paragraph(words: str, kind: Literal["note", "notice"] = "note") -> Block:
+    """Plain text: a note, or a notice, which is a warning or a hint."""
+    return Block(f'<p class="{kind}">{escape(words)}</p>')
+
+
+def table(
+    columns: Sequence[str],
+    rows: Iterable[Sequence[str]],
+    caption: str,
+    ours: Container[int] = (),
+    *,
+    words: bool = False,
+) -> Block:
+    """A table, whose first column names the rows; the caption is also its name for a screen reader.
+
+    Rows with the numbers `ours` are bold. Cells of words are wrapped, unlike figures.
     """
+    cells = (f'<th scope="col">{escape(name)}</th>' if name else "<td></td>" for name in columns)
+    head = f"<thead><tr>{''.join(cells)}</tr></thead>" if any(columns) else ""
+    body = "".join(
+        f'<tr{" class=ours" if number in ours else ""}><th scope="row">{escape(row[0])}</th>'
+        + "".join(f"<td>{escape(cell)}</td>" for cell in row[1:])
+        + "</tr>"
+        for number, row in enumerate(rows)
+    )
+    kind = ' class="words"' if words else ""
+    return Block(
+        f'<div class="scroll" role="region" tabindex="0" aria-label="{escape(caption)}"><table{kind}>'
+        f"<caption>{escape(caption)}</caption>{head}<tbody>{body}</tbody></table></div>"
+    )
 
-    words: str
-    kind: str = "note"
 
-    def html(self, packed: dict[str, Any]) -> str:
-        """See `Block`."""
-        return f'<p class="{self.kind}">{escape(self.words)}</p>'
+def picture(image: bytes, alt: str, caption: str = "") -> Block:
+    """A PNG or JPEG file, with a text for a screen reader, and a caption if any."""
+    shown = f'<img src="{data_url(image)}" alt="{escape(alt)}" loading="lazy">'
+    return Block(f"<figure>{shown}{_below(caption)}</figure>")
 
 
-@dataclass(frozen=True)
-class Table:
-    """A table; its first column names the rows.
+def plot(
+    name: str, traces: Sequence[Mapping[str, Any]], layout: Mapping[str, Any], label: str, caption: str = ""
+) -> Block:
+    """A figure that Plotly draws, by a name of letters, with a label for a screen reader.
 
-    Attributes:
-        columns: Headings, the first of the names.
-        rows: Cells, as text.
-        caption: What it is of; also its name for a screen reader.
-        ours: Numbers of the rows that are set in bold.
-        words: Whether cells are words, to be wrapped, rather than figures.
+    In traces the colour "ink" is that of text; the layout is without the colours of light and dark.
     """
-
-    columns: Sequence[str]
-    rows: Sequence[Sequence[str]]
-    caption: str
-    ours: Sequence[int] = ()
-    words: bool = False
-
-    def html(self, packed: dict[str, Any]) -> str:
-        """See `Block`."""
-        cells = (f'<th scope="col">{escape(name)}</th>' if name else "<td></td>" for name in self.columns)
-        head = f"<thead><tr>{''.join(cells)}</tr></thead>" if any(self.columns) else ""
-        body = "".join(
-            f'<tr{" class=ours" if number in self.ours else ""}><th scope="row">{escape(row[0])}</th>'
-            + "".join(f"<td>{escape(cell)}</td>" for cell in row[1:])
-            + "</tr>"
-            for number, row in enumerate(self.rows)
-        )
-        kind = ' class="words"' if self.words else ""
-        return (
-            f'<div class="scroll" role="region" tabindex="0" aria-label="{escape(self.caption)}"><table{kind}>'
-            f"<caption>{escape(self.caption)}</caption>{head}<tbody>{body}</tbody></table></div>"
-        )
+    shown = (
+        f'<figure data-figure="{name}" aria-label="{escape(label)}"><div class="plot"></div>{_below(caption)}</figure>'
+    )
+    return Block(shown, {name: {"traces": traces, "layout": layout}})
 
 
-@dataclass(frozen=True)
-class Picture:
-    """A picture.
-
-    Attributes:
-        data: The bytes of a PNG or JPEG file.
-        alt: What it shows, for who does not see it.
-        caption: Below it; empty for none.
-    """
-
-    data: bytes
-    alt: str
-    caption: str = ""
-
-    def html(self, packed: dict[str, Any]) -> str:
-        """See `Block`."""
-        seen = f'<img src="{data_url(self.data)}" alt="{escape(self.alt)}" loading="lazy">'
-        return f"<figure>{seen}{_below(self.caption)}</figure>"
+def folded(title: str, blocks: Iterable[Block]) -> Block:
+    """Blocks that are shown after a click on the title; no `plot`, which needs a width."""
+    return _joined(f"<details><summary>{escape(title)}</summary>", blocks, "</details>")
 
 
-@dataclass(frozen=True)
-class Plot:
-    """A figure that Plotly draws.
-
-    Attributes:
-        name: Its name on the page, of letters.
-        traces: Plotly's traces; the colour "ink" is that of text.
-        layout: Plotly's layout, but for what follows from light or dark.
-        label: What it shows, for who does not see it.
-        caption: Below it; empty for none.
-    """
-
-    name: str
-    traces: Sequence[Mapping[str, Any]]
-    layout: Mapping[str, Any]
-    label: str
-    caption: str = ""
-
-    def html(self, packed: dict[str, Any]) -> str:
-        """See `Block`."""
-        packed[self.name] = {"traces": self.traces, "layout": self.layout}
-        return (
-            f'<figure data-figure="{self.name}" aria-label="{escape(self.label)}"><div class="plot"></div>'
-            f"{_below(self.caption)}</figure>"
-        )
-
-
-@dataclass(frozen=True)
-class Folded:
-    """Blocks that are shown when asked for.
-
-    Attributes:
-        title: What to click on.
-        blocks: What is shown then; no figures of Plotly, which need to know how wide they are.
-    """
-
-    title: str
-    blocks: Sequence[Block]
-
-    def html(self, packed: dict[str, Any]) -> str:
-        """See `Block`."""
-        return f"<details><summary>{escape(self.title)}</summary>{_html(self.blocks, packed)}</details>"
-
-
-@dataclass(frozen=True)
-class Code:
+def code(words: str) -> Block:
     """Text as it is, such as a command."""
-
-    words: str
-
-    def html(self, packed: dict[str, Any]) -> str:
-        """See `Block`."""
-        return f"<pre>{escape(self.words)}</pre>"
+    return Block(f"<pre>{escape(words)}</pre>")
 
 
-@dataclass(frozen=True)
-class Section:
-    """A heading, and what stands below it."""
+def section(title: str, blocks: Iterable[Block]) -> Block:
+    """A heading, and the blocks below it."""
+    return _joined(f"<section><h2>{escape(title)}</h2>", blocks, "</section>")
 
-    title: str
-    blocks: Sequence[Block]
 
-    def html(self, packed: dict[str, Any]) -> str:
-        """See `Block`."""
-        return f"<section><h2>{escape(self.title)}</h2>{_html(self.blocks, packed)}</section>"
+def _joined(before: str, blocks: Iterable[Block], after: str) -> Block:
+    parts = list(blocks)
+    data = {name: each for block in parts for name, each in block.data.items()}
+    return Block(before + "".join(block.html for block in parts) + after, data)
 
 
 @dataclass(frozen=True)
 class Page:
-    """What a command found.
-
-    Attributes:
-        title: Of the sequence, or of whatever was looked at.
-        asked: What was asked, in a line.
-        verdict: What came of it, in a sentence.
-        sections: The rest.
-        notices: What a person should know.
-    """
+    """The findings of a command: title, question in a line, answer in a sentence, notices, and sections."""
 
     title: str
     asked: str
     verdict: str
-    sections: Sequence[Section] = field(default_factory=tuple)
+    sections: Sequence[Block] = ()
     notices: Sequence[str] = ()
 
     def html(self) -> str:
         """The file's text."""
-        packed: dict[str, Any] = {}
-        notices = "".join(Text(notice, "notice").html(packed) for notice in self.notices)
-        sections = "".join(section.html(packed) for section in self.sections)
-        scripts = ""
-        if packed:
-            data = json.dumps(packed, separators=(",", ":"), allow_nan=False).encode()
+        notices = "".join(paragraph(notice, "notice").html for notice in self.notices)
+        sections, scripts = _joined("", self.sections, ""), ""
+        if sections.data:
+            data = json.dumps(sections.data, separators=(",", ":"), allow_nan=False).encode()
             scripts = (
                 f'<script type="text/plain" id="data">{_packed(data)}</script>'
                 f'<script type="text/plain" id="plotly">{_packed_plotly()}</script><script>{_asset("page.js")}</script>'
@@ -203,7 +129,7 @@ class Page:
             f"<title>{escape(self.title)} - vapor-track</title><style>{_asset('page.css')}</style></head><body>"
             f'<header><h1>{escape(self.title)}</h1><p class="asked">{escape(self.asked)}</p>'
             f'<p class="verdict">{escape(self.verdict)}</p>{notices}</header>'
-            f"<main>{sections}</main><footer>Made by vapor-track. The file needs no network.</footer>{scripts}"
+            f"<main>{sections.html}</main><footer>Made by vapor-track. The file needs no network.</footer>{scripts}"
             "</body></html>\n"
         )
 
@@ -225,13 +151,9 @@ def is_page(path: Path) -> bool:
 
 
 def data_url(data: bytes) -> str:
-    """A PNG or JPEG as an address that holds it."""
+    """A PNG or JPEG as a data URL."""
     kind = "png" if data.startswith(b"\x89PNG") else "jpeg"
     return f"data:image/{kind};base64,{base64.b64encode(data).decode('ascii')}"
-
-
-def _html(blocks: Sequence[Block], packed: dict[str, Any]) -> str:
-    return "".join(block.html(packed) for block in blocks)
 
 
 def _packed(data: bytes) -> str:
@@ -245,3 +167,45 @@ def _packed_plotly() -> str:
 
 def _asset(name: str) -> str:
     return resources.files("vapor.reporting.html").joinpath(name).read_text(encoding="utf-8")
+
+
+def findings_page(
+    title: str,
+    asked: str,
+    verdict: str,
+    parts: Iterable[tuple[str, Sequence[RichTable | str | Path | Block]]],
+    *,
+    settings: Mapping[str, Any] | None = None,
+    command: str = "",
+) -> Page:
+    """A page with a section for each part: a heading, and blocks, printed tables, lines and files of pictures.
+
+    Settings of the command are JSON; the command line is empty where there was none.
+    """
+    sections = [section(heading, [_block(item, heading) for item in items]) for heading, items in parts if items]
+    made = [code(command)] if command else []
+    if settings is not None:
+        made.append(folded("Settings", [code(json.dumps(settings, indent=2, default=str))]))
+    return Page(title, asked, verdict, [*sections, *([section("How it was made", made)] if made else [])])
+
+
+def _block(item: RichTable | str | Path | Block, heading: str) -> Block:
+    if isinstance(item, Path):
+        return picture(item.read_bytes(), f"{heading}: {item.stem}")
+    if isinstance(item, str):
+        return paragraph(item, "notice")
+    return item if isinstance(item, Block) else _printed_table(item, heading)
+
+
+def _printed_table(printed: RichTable, caption: str) -> Block:
+    """A table of Rich with its bold rows; the caption is for one without a title."""
+    rows = list(zip(*(map(_plain, column.cells) for column in printed.columns), strict=True))
+    ours = [number for number, row in enumerate(printed.rows) if "bold" in str(row.style or "")]
+    title = _plain(printed.title) if printed.title is not None else caption
+    return table([_plain(column.header) for column in printed.columns], rows, title or caption, ours)
+
+
+def _plain(cell: RenderableType) -> str:
+    from rich.text import Text as RichText
+
+    return cell.plain if isinstance(cell, RichText) else RichText.from_markup(str(cell)).plain

@@ -6,15 +6,61 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from vapor.evaluation.consistency import REGIONS
 from vapor.evaluation.trajectory import RIGHT, THRESHOLDS
-from vapor.reporting.html.page import Block, Code, Folded, Page, Picture, Section, Table, Text
-from vapor.reporting.html.run_charts import StatusStrip, belief_plot, error_plot
-from vapor.reporting.html.run_scene import RunScene
-from vapor.reporting.landmark_picture import landmark_caption, landmark_picture
+from vapor.landmarks.shown import ShownLandmarks
+from vapor.reporting.drawing import as_jpeg
+from vapor.reporting.html.page import Block, Page, code, folded, paragraph, picture, section, table
+from vapor.reporting.html.run_figures import belief_plot, error_plot, run_scene, status_strip
 from vapor.reporting.record import RunRecord
 from vapor.reporting.report import method_table
 from vapor.tracking.methods import METHODS, in_order
+
+_LONGER = 5  # distances are drawn so many times too long, as one of a pixel would hardly be seen
+_WIDTH = 960  # of the picture
+_GREY, _RIM, _GREEN, _LINE = (200, 200, 200), (70, 70, 70), (60, 230, 80), (255, 150, 40)
+_QUALITY = 85
+
+
+def landmark_picture(shown: ShownLandmarks) -> bytes:
+    """The image as JPEG: features as grey dots, landmarks as green circles, lines to where the pose predicts these."""
+    import cv2
+
+    height, width = shown.image.shape[:2]
+    zoom = _WIDTH / width
+    size = _WIDTH, round(zoom * height)
+    picture = np.ascontiguousarray(cv2.resize(shown.image, size, interpolation=cv2.INTER_CUBIC))
+    fraction = 4  # bits of a pixel
+    ends = shown.seen + _LONGER * (shown.predicted - shown.seen)
+
+    def drawn(at: np.ndarray) -> list[tuple[int, int]]:
+        points = np.rint(((at + 0.5) * zoom - 0.5) * 2**fraction).astype(int)
+        return [(int(x), int(y)) for x, y in points]
+
+    for at in drawn(shown.features):
+        cv2.circle(picture, at, 4 << fraction, _RIM, -1, cv2.LINE_AA, fraction)
+        cv2.circle(picture, at, 3 << fraction, _GREY, -1, cv2.LINE_AA, fraction)
+    for at, end in zip(drawn(shown.seen), drawn(ends), strict=True):
+        cv2.line(picture, at, end, _LINE, 2, cv2.LINE_AA, fraction)
+        cv2.circle(picture, at, 5 << fraction, _GREEN, 2, cv2.LINE_AA, fraction)
+    return as_jpeg(picture, _QUALITY)
+
+
+def landmark_caption(shown: ShownLandmarks, seconds: float) -> str:
+    """The picture in numbers; `seconds` count since the first image."""
+    off = float(np.median(np.linalg.norm(shown.predicted - shown.seen, axis=1)))
+    caption = (
+        f"Image {shown.number}, at {seconds:.1f} s: of {len(shown.features)} features (grey) {len(shown.seen)} are"
+        f" landmarks that agree with the pose (green). Orange lines, {_LONGER} times too long, lead to where these"
+        f" must be seen from it, {off:.1f} of {shown.image.shape[1]} pixels off in the median."
+    )
+    if shown.others:
+        places = "Another place is verified, by" if len(shown.others) == 1 else "Other places are verified, by"
+        caption += f" {places} {', '.join(map(str, shown.others))} landmarks."
+    return caption
+
 
 _LIMIT_M, _LIMIT_DEG = THRESHOLDS[RIGHT]
 _WITHIN = f"within {_LIMIT_M:g} m and {_LIMIT_DEG:g}° of the truth"
@@ -29,22 +75,13 @@ def run_page(
     notices: Sequence[str] = (),
     command: str = "",
 ) -> Page:
-    """The page of a run.
-
-    Args:
-        record: The run.
-        report: What `build_report` says of it, whose numbers the page shows.
-        title: Name of the sequence.
-        settings: Content of `config.json`.
-        notices: What a person should know.
-        command: The command that was given; empty where there was none.
-    """
+    """The page of a run, with its report, the name of its sequence, the content of `config.json`, and its command."""
     sections = _sections(record, report, settings, command)
     return Page(title, _asked(report, settings), verdict(report, record), sections, notices)
 
 
 def _asked(report: Mapping[str, Any], settings: Mapping[str, Any]) -> str:
-    """What was localized with what; and what is synthetic or simulated, as far as the data say so themselves."""
+    """The question of the page: images, model, odometry, and whether these are synthetic or simulated."""
     sequence = settings.get("sequence", {})
     kind = "synthetic images" if str(sequence.get("image_source")).startswith("synthetic") else "images"
     model = settings.get("model", {}).get("name")
@@ -57,10 +94,15 @@ def _asked(report: Mapping[str, Any], settings: Mapping[str, Any]) -> str:
 
 
 def verdict(report: Mapping[str, Any], record: RunRecord) -> str:
-    """What came of a run, in a sentence or two."""
+    """The result of a run, in a sentence or two."""
     if "filter" not in report:
-        return f"{_sure(record)}. There are no true poses to compare with."
-    found, consistency = said_of_filter(report).removesuffix("."), report["consistency"]
+        sure = [index for index, status in enumerate(record.status) if status == "converged"]
+        found = "Never sure where it is"
+        if sure:
+            first_s = int(record.times_ns[sure[0]] - record.times_ns[0]) / 1e9
+            found = f"Sure in {100 * len(sure) / len(record.status):.0f} % of the images, first after {first_s:.1f} s"
+        return f"{found}. There are no true poses to compare with."
+    found, consistency = filter_sentence(report).removesuffix("."), report["consistency"]
     if consistency["images"] == 0:
         return f"{found}; never sure."
     if consistency["wrong"] == 0.0:
@@ -69,8 +111,8 @@ def verdict(report: Mapping[str, Any], record: RunRecord) -> str:
     return f"{found}; sure and wrong in {wrong} of the {consistency['images']} images that it called converged."
 
 
-def said_of_filter(report: Mapping[str, Any]) -> str:
-    """How good the filter was, in a sentence, where there are true poses."""
+def filter_sentence(report: Mapping[str, Any]) -> str:
+    """How good the filter was against true poses, in a sentence."""
     metrics = report["filter"]
     off = f"{100 * metrics['median_translation_m']:.1f} cm and {metrics['median_rotation_deg']:.1f}° off in the median"
     if metrics["converged_at_s"] is None:
@@ -80,56 +122,44 @@ def said_of_filter(report: Mapping[str, Any]) -> str:
     return f"Right from {since} on, {off}."
 
 
-def _sure(record: RunRecord) -> str:
-    sure = [index for index, status in enumerate(record.status) if status == "converged"]
-    if not sure:
-        return "Never sure where it is"
-    first_s = int(record.times_ns[sure[0]] - record.times_ns[0]) / 1e9
-    return f"Sure in {100 * len(sure) / len(record.status):.0f} % of the images, first after {first_s:.1f} s"
-
-
-def _sections(record: RunRecord, report: Mapping[str, Any], settings: Mapping[str, Any], command: str) -> list[Section]:
-    sections = [Section("Where it was", [RunScene(record)])]
-    over_time: list[Block] = [StatusStrip(record)]
+def _sections(record: RunRecord, report: Mapping[str, Any], settings: Mapping[str, Any], command: str) -> list[Block]:
+    sections = [section("Where it was", [run_scene(record)])]
+    over_time: list[Block] = [status_strip(record)]
     if (errors := error_plot(record)) is not None:
         columns, rows = method_table(report)
         ours = [number for number, row in enumerate(rows) if row[0] == METHODS["filter"].label]
-        told = "Errors, and the fraction of images within both limits; no trajectory was aligned"
-        sections.append(Section("How good", [Table(columns, rows, told, ours)]))
+        caption = "Errors, and the fraction of images within both limits; no trajectory was aligned"
+        sections.append(section("How good", [table(columns, rows, caption, ours)]))
         over_time.append(errors)
-    sections.append(Section("Over time", [*over_time, belief_plot(record)]))
+    sections.append(section("Over time", [*over_time, belief_plot(record)]))
     if record.verified is not None:
-        sections.append(Section("Landmarks", _landmarks(record, record.verified)))
+        sections.append(section("Landmarks", _landmarks(record, record.verified)))
     if (trust := _trust(report)) is not None:
-        sections.append(Section("Is its confidence true", trust))
+        sections.append(section("Is its confidence true", trust))
     if report.get("floors") is not None:
-        sections.append(Section("Which floor", _floors(report["floors"])))
-    sections.append(Section("What was used", [_counts(report)]))
-    blocks: list[Block] = [] if not command else [Code(command)]
+        sections.append(section("Which floor", _floors(report["floors"])))
+    sections.append(section("What was used", [_counts(report)]))
+    blocks = [code(command)] if command else []
     versions = settings.get("versions", {})
-    blocks.append(
-        Folded(
-            "Versions",
-            [Table(("", "version"), [(name, str(versions[name])) for name in versions], "Versions", words=True)],
-        )
-    )
+    rows = [(name, str(version)) for name, version in versions.items()]
+    blocks.append(folded("Versions", [table(("", "version"), rows, "Versions", words=True)]))
     rest = {name: value for name, value in settings.items() if name != "versions"}
-    blocks.append(Folded("Settings", [Code(json.dumps(rest, indent=2))]))
-    sections.append(Section("How it was made", blocks))
+    blocks.append(folded("Settings", [code(json.dumps(rest, indent=2))]))
+    sections.append(section("How it was made", blocks))
     return sections
 
 
 def _landmarks(record: RunRecord, verified: int) -> list[Block]:
     blocks: list[Block] = [
-        Text(
+        paragraph(
             f"Landmarks verified a place in {100 * verified / len(record.times_ns):.0f} % of the images: from there"
-            " they are seen where the image shows them, and the pose is as sharp as that tells."
+            " they are seen where the image shows them, and the pose is as sharp as that."
         )
     ]
     if (shown := record.landmarks) is not None:
         seconds = int(record.times_ns[shown.number] - record.times_ns[0]) / 1e9
         alt = "An image with its features, and the landmarks among them"
-        blocks.append(Picture(landmark_picture(shown), alt, landmark_caption(shown, seconds)))
+        blocks.append(picture(landmark_picture(shown), alt, landmark_caption(shown, seconds)))
     return blocks
 
 
@@ -139,7 +169,7 @@ def _trust(report: Mapping[str, Any]) -> list[Block] | None:
         return None
     images = consistency["images"]
     if images == 0:
-        return [Text("It called no image converged, so there is nothing to check.")]
+        return [paragraph("It called no image converged, so there is nothing to check.")]
     rows = [
         (
             f"true pose in the {name} region".replace("%", " %"),
@@ -153,8 +183,8 @@ def _trust(report: Mapping[str, Any]) -> list[Block] | None:
         (f"wrong: not {_WITHIN}", f"{100 * consistency['wrong']:.1f} %", "0 %"),
     ]
     return [
-        Table(("", "is", "true"), rows, f"Of the {images} images that it called converged"),
-        Text(
+        table(("", "is", "true"), rows, f"Of the {images} images that it called converged"),
+        paragraph(
             "A region is the smallest part of the stated Gaussian with that probability. NEES, the normalised "
             "estimation error squared, is larger than 5.35 where errors are larger than stated."
         ),
@@ -169,15 +199,15 @@ def _floors(floors: Mapping[str, Any]) -> list[Block]:
     sure = f"Sure of its floor, by 95 % and more, after {100 * floors['sure']:.0f} % of the images"
     if (wrong := floors.get("sure_and_wrong")) is not None:
         sure += f", of these wrong: {100 * wrong:.1f} %"
-    blocks: list[Block] = [Text(f"{sure}.")]
+    blocks: list[Block] = [paragraph(f"{sure}.")]
     if "accuracy" in floors:
         right = [(METHODS[name].label, f"{100 * part:.0f} %") for name, part in in_order(floors["accuracy"]).items()]
         ours = [number for number, row in enumerate(right) if row[0] == METHODS["filter"].label]
-        blocks.append(Table(("", "right floor"), right, "Images on the right floor", ours))
-    return [*blocks, Table(("", "belief"), rows, "Belief after the last image, by floor and height of the camera")]
+        blocks.append(table(("", "right floor"), right, "Images on the right floor", ours))
+    return [*blocks, table(("", "belief"), rows, "Belief after the last image, by floor and height of the camera")]
 
 
-def _counts(report: Mapping[str, Any]) -> Table:
+def _counts(report: Mapping[str, Any]) -> Block:
     step = report["step_ms"]
     rows = [("images localized", str(report["frames"])), ("with a true pose", str(report["frames_with_true_pose"]))]
     rows += [(f"skipped, {reason}", str(number)) for reason, number in report["skipped"].items()]
@@ -189,4 +219,4 @@ def _counts(report: Mapping[str, Any]) -> Table:
         rows.append(("smoothed poses that images do not fit", str(report["smoothed_doubtful"])))
     if report["peak_rss_mb"] is not None:
         rows.append(("peak memory", f"{report['peak_rss_mb']:.0f} MB"))
-    return Table(("", ""), rows, "Images, time and memory")
+    return table(("", ""), rows, "Images, time and memory")

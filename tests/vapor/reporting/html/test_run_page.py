@@ -11,7 +11,7 @@ from filtering.floors import Floors
 from tests.helpers.pages import ReadPage
 from tests.helpers.simulated_run import simulated_record
 from vapor.reporting.html.run_page import run_page, verdict
-from vapor.reporting.moments import MomentCollector
+from vapor.reporting.record import Moment
 from vapor.reporting.report import build_report
 
 SETTINGS = {"model": {"name": "stairs"}, "versions": {"numpy": "2.4"}, "run": {"seed": 3}}
@@ -83,10 +83,9 @@ def test_every_image_of_a_short_run_is_a_moment_that_can_be_looked_at(record):
 
 
 def test_beside_a_moment_is_its_own_image_at_most_200_pixels_wide(record):
-    collector, keyframe = MomentCollector(), record.keyframes[0]
-    for shade in (40, 200):
-        collector.add(replace(keyframe, thumbnail=np.full((240, 320, 3), shade, np.uint8)))
-    data = read(replace(record, moments=collector.moments)).data["run"]["moments"]
+    images = [np.full((240, 320, 3), shade, np.uint8) for shade in (40, 200)]
+    moments = [Moment.of(i, replace(record.keyframes[0], thumbnail=image)) for i, image in enumerate(images)]
+    data = read(replace(record, moments=tuple(moments))).data["run"]["moments"]
     for moment, shade in zip(data, (40, 200), strict=True):
         jpeg = base64.b64decode(moment["image"].removeprefix("data:image/jpeg;base64,"))
         image = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
@@ -100,14 +99,6 @@ def test_a_path_is_broken_where_a_hypothesis_jumped(record):
     assert len(points) == 150
     steps = np.linalg.norm(np.diff(record.methods["filter"].poses.translation, axis=0), axis=1)
     assert path["x"].count(None) == (steps > 0.4 + 6.0 * np.median(steps)).sum() > 0
-
-
-def test_of_a_long_run_at_most_300_moments_are_kept_evenly(record):
-    collector, keyframe = MomentCollector(), record.keyframes[0]
-    for _ in range(1000):
-        collector.add(keyframe)
-    assert 150 < len(collector.moments) <= 300
-    assert {b.index - a.index for a, b in zip(collector.moments, collector.moments[1:], strict=False)} == {4}
 
 
 def test_the_verdict_says_what_happened(record):
