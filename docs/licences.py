@@ -8,14 +8,14 @@ from importlib.metadata import Distribution, PackageNotFoundError, distribution
 _EXTRAS = ("", "cluster", "evo", "export", "live", "openvino", "video")
 _TEXT = """# Licences of the dependencies
 
-vapor-track is under Apache-2.0. What it depends on, directly and through others, with versions as installed and
-licences as the packages state them; made by `python docs/licences.py > docs/licences.md`. *Extra* names the optional
-extra (`cluster`, `evo`, `export`, `live`, `openvino`, `video`) that first brings a package.
+vapor-track is under Apache-2.0. This table has its direct and indirect dependencies, with installed versions and
+licences as stated by the packages; made by `python docs/licences.py > docs/licences.md`. *Extra* names the first optional
+extra (`cluster`, `evo`, `export`, `live`, `openvino`, `video`) that needs a package.
 
 Packages under the GPL come with extras only: evo is GPL-3.0; PyAV is BSD, but its wheels carry FFmpeg with encoders
-under the GPL. NumPy, SciPy, OpenCV and others carry libraries within their wheels whose licences are not in this table;
-among those of opencv-python-headless is FFmpeg under the LGPL-2.1. The GPL of gcc's runtime libraries, which wheels of
-NumPy and SciPy name, has the exception that what links to them is under a licence of its own.
+under the GPL. Wheels of NumPy, SciPy, OpenCV and others carry libraries whose licences are not in this table;
+opencv-python-headless has FFmpeg under the LGPL-2.1. The GPL of gcc's runtime libraries, in wheels of
+NumPy and SciPy, has an exception: programs that link to them keep their own licence.
 """
 
 

@@ -1,8 +1,8 @@
-"""Poses that another estimator gave, as hypotheses of the filter, carried by odometry.
+"""Poses of another estimator as hypotheses of the filter, moved by odometry.
 
 python examples/fuse_estimates.py --output fused/
 
-Here the other estimator is made up: it takes one of two identical rooms for the other in half of its images. Yours
+Here the other estimator is simulated: it confuses two identical rooms in half of its images. Yours
 writes the same text: `name qw qx qy qz tx ty tz`, or TUM's `time tx ty tz qx qy qz qw`.
 """
 

@@ -1,4 +1,4 @@
-"""Localize a recording, and read what came of it.
+"""Localize a recording, and read the results.
 
 python examples/localize_bag.py sequence.mcap --model staircase --output result/
 

@@ -1,8 +1,8 @@
-"""A robot without ROS: images and odometry come by a transport of one's own, map -> odom goes out.
+"""A robot without ROS: images and odometry come by a transport of your own, map -> odom goes out.
 
 python examples/own_loop.py sequence.mcap --model staircase
 
-A recording stands for the robot here; `images_of` is what to replace.
+A recording stands for the robot here; replace `images_of`.
 """
 
 import argparse
@@ -15,7 +15,7 @@ import vapor
 
 
 def images_of(robot: vapor.SequenceReader) -> Iterator[tuple[int, np.ndarray, vapor.Odometry | None]]:
-    """Stamp, RGB image, and the motion of the camera since the image before: None where it is unknown."""
+    """Stamp, RGB image, and the camera's motion since the last image: None where unknown."""
     for frame in robot:
         yield frame.time_ns, frame.image, frame.odometry
 
@@ -29,7 +29,7 @@ def main() -> None:
     robot = vapor.SequenceReader(options.sequence)
     model = vapor.VaporObservationModel.from_checkpoint(options.model, camera=robot.camera)
     localizer = vapor.ParticleLocalizer(model, rng=np.random.default_rng(0))
-    odom_from_camera = vapor.Poses.identity()  # a robot's odometry has it; here it is added up
+    odom_from_camera = vapor.Poses.identity()  # a robot's odometry has it; here motions are composed
     sent, before_ns = 0, None
     for time_ns, image, motion in images_of(robot):
         elapsed_s = 0.0 if before_ns is None else (time_ns - before_ns) * 1e-9
@@ -37,7 +37,7 @@ def main() -> None:
         before_ns = time_ns
         if motion is not None:
             odom_from_camera = odom_from_camera @ motion.previous_from_current
-        if estimate.status == "converged":  # else let the robot know nothing
+        if estimate.status == "converged":  # otherwise send nothing
             map_from_odom = estimate.modes[0].world_from_camera @ odom_from_camera.inverse()
             sent += np.isfinite(map_from_odom.translation).all()
     print(f"{sent} transforms sent, last status {estimate.status}")

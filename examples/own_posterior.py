@@ -3,7 +3,7 @@
 python examples/own_posterior.py
 
 A robot drives along a corridor of ten doors, four metres apart: eight are white, the last two are blue and red. Its
-detector proposes doors at which it may be standing: eight places that are equally possible, or one.
+detector proposes doors at which it may stand: eight equally possible places, or one.
 """
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 import vapor
 
 DOORS_M = 4.0 * np.arange(10.0)
-ERRORS = vapor.ErrorModel(length_m=0.5, typical_std=(0.1, 0.1, 0.1, 0.05, 0.05, 0.05))  # how detections err
+ERRORS = vapor.ErrorModel(length_m=0.5, typical_std=(0.1, 0.1, 0.1, 0.05, 0.05, 0.05))  # of detections
 
 
 def at(x_m: np.ndarray) -> vapor.Poses:

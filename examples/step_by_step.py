@@ -1,4 +1,4 @@
-"""The filter step by step, and a plot of how sure it is.
+"""The filter step by step, and a plot of its certainty.
 
 python examples/step_by_step.py sequence.mcap --model staircase --output belief.png
 

@@ -16,8 +16,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("walks", nargs="+", type=Path, help="recordings with true poses to learn from")
     parser.add_argument("--held-out", nargs="+", type=Path, required=True, help="others, to calibrate on")
-    parser.add_argument("--hours", type=float, default=0.1, help="how long to train")
-    parser.add_argument("--epochs", type=int, help="how often to see each image; default: as often as time allows")
+    parser.add_argument("--hours", type=float, default=0.1, help="duration of the training")
+    parser.add_argument("--epochs", type=int, help="passes over the images; default: as many as time allows")
     parser.add_argument("--output", type=Path, default=Path("place.safetensors"))
     options = parser.parse_args()
 
@@ -28,7 +28,7 @@ def main() -> None:
 
     errors = result.calibration.errors
     print(f"an ordinary image is {100 * max(errors.typical_std[:3]):.0f} cm off")
-    print(f"its error lasts for {errors.length_m:.2f} m")
+    print(f"its error is correlated over {errors.length_m:.2f} m")
     print(f"no place of an image is right with a probability of {100 * errors.outlier_probability:.0f} %")
 
 
