@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
@@ -18,6 +18,7 @@ from filtering.se3 import Poses
 _MARGIN = 1.01  # of a squared distance that is only to tell what is worth a closer look
 
 Status = Literal["converged", "ambiguous", "lost"]
+STATUSES: tuple[Status, ...] = get_args(Status)
 
 
 @dataclass(frozen=True)

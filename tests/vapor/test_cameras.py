@@ -18,8 +18,8 @@ from tests.helpers.views import taken_by
 from vapor.cameras import AsTakenBy, fraction_seen, resampled
 from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
 from vapor.observation import VaporObservationModel
+from vapor.regressors.backbones import Describer
 from vapor.regressors.familiarity import Familiarity
-from vapor.regressors.network_config import Describer
 from vapor.tensor_files import CheckpointError
 from vapor.training.train import train_on
 from vapor.training_data.load import load_training_set

@@ -10,7 +10,7 @@ from safetensors.torch import save_file
 from tests.helpers.checkpoints import SMALL, make_checkpoint
 from vapor.checkpoints.file_format import SHIPPED, load_checkpoint, save_checkpoint
 from vapor.evaluation.validation import Validation
-from vapor.regressors.network_config import load_pretrained
+from vapor.regressors.backbones import load_pretrained
 from vapor.tensor_files import CHECKSUM, CheckpointError, content_sha256, read_safetensors, write_safetensors
 from vapor.training.config import TrainConfig
 from vapor.training.state import load_state, save_state, start

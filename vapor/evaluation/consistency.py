@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 from scipy.special import chdtri
 
-from filtering.estimate import Mode
+from filtering.estimate import STATUSES, Mode
 from filtering.se3 import Poses
 from sequences.frame import Trajectory
 from vapor.evaluation.floors import once_on_floor
@@ -101,7 +101,7 @@ def evaluate_belief(
         images = recovery_images(right, kidnap_index=kidnap_index)
         kidnap = {"right_before": bool(right[kidnap_index - 1]), "images": images}
     return {
-        "status": {name: counts[name] / len(sure) for name in ("converged", "ambiguous", "lost")},
+        "status": {name: counts[name] / len(sure) for name in STATUSES},
         **{name: evaluate_consistency(trajectory, covariance, of, true_trajectory) for name, of in over.items()},
         "truth_among_modes": truth_among_modes(belief.modes, truth),
         "longest_wrong_s": longest_s(sure & ~right, times_ns),

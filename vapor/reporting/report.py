@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Bool
 
+from filtering.estimate import STATUSES
 from sequences.atomic import atomic_output
 from sequences.errors import SequenceError
 from sequences.files import read_json
@@ -49,7 +50,7 @@ def build_report(record: RunRecord) -> dict[str, Any]:
         "skipped": dict(record.skipped),
         "images": None if record.images is None else record.images.as_json(),
         "duration_s": float(record.times_ns[-1] - record.times_ns[0]) / 1e9,
-        "status": {name: counts[name] / frames for name in ("converged", "ambiguous", "lost")},
+        "status": {name: counts[name] / frames for name in STATUSES},
         "smoothed_doubtful": None if doubts is None else int(doubts.sum()),
         "particles": int(np.median(record.num_particles)),
         "step_ms": {"p50": float(p50), "p95": float(p95)},

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
+from filtering.estimate import Status
 from vapor.reporting.drawing import COLORS, rgb
 from vapor.reporting.rerun_place import Place
 from vapor.reporting.rerun_shapes import BEST
@@ -23,7 +24,11 @@ FOLLOWED = "world/followed"
 """The point that a live view follows from outside; where a camera itself is followed, Rerun looks out of it."""
 ERROR_CURVES = ("filter", "smoothed", "dead_reckoning")
 """The methods whose errors are plotted."""
-_STATUS = {"converged": (60, 150, 110), "ambiguous": (225, 150, 60), "lost": (181, 66, 59)}
+_STATUS: Mapping[Status, tuple[int, int, int]] = {
+    "converged": (60, 150, 110),
+    "ambiguous": (225, 150, 60),
+    "lost": (181, 66, 59),
+}
 _LEGEND = (
     "**blue** best hypothesis, its particles, the filter's path  ·  **other colours** other hypotheses, each with its"
     " weight and an ellipsoid of two standard deviations  ·  **orange** samples of the image's own posterior"

@@ -17,8 +17,9 @@ from vapor.calibration.calibrate_model import calibrate_model
 from vapor.calibration.familiarity import extract_features, fit_familiarity, learn_familiarity
 from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
 from vapor.observation import VaporObservationModel
+from vapor.regressors.backbones import Describer
 from vapor.regressors.familiarity import description_size
-from vapor.regressors.network_config import Describer, make_backbone, stage_channels
+from vapor.regressors.network_config import make_backbone, stage_channels
 from vapor.regressors.scene_box import SceneBox
 from vapor.regressors.variational import VariationalPoseRegressor
 from vapor.tensor_files import CheckpointError, read_safetensors

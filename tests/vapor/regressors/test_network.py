@@ -11,15 +11,9 @@ from safetensors.torch import save_file
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from tests.helpers.checkout import SHARED_DATA
+from vapor.regressors.backbones import EfficientNetLite0, ResNet18, load_pretrained, pretrained_lite0_state
 from vapor.regressors.layers import PoseMap, rotation_from_6d
-from vapor.regressors.network_config import (
-    EfficientNetLite0,
-    NetworkConfig,
-    ResNet18,
-    load_pretrained,
-    make_backbone,
-    pretrained_lite0_state,
-)
+from vapor.regressors.network_config import NetworkConfig, make_backbone
 from vapor.regressors.scene_box import SceneBox
 from vapor.regressors.variational import VariationalPoseRegressor
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64, Int64
 
+from filtering.estimate import STATUSES
 from sequences.frame import Trajectory
 from vapor.evaluation.trajectory import RIGHT, THRESHOLDS, associate, pose_errors
 from vapor.reporting.drawing import COLORS, as_jpeg, rgb
@@ -174,7 +175,7 @@ def status_strip(record: RunRecord) -> Block:
         f' height="10" style="fill:var(--{record.status[first]})"/>'
         for first, end in zip(starts, ends, strict=True)
     )
-    parts = {name: record.status.count(name) / len(record.status) for name in ("converged", "ambiguous", "lost")}
+    parts = {name: record.status.count(name) / len(record.status) for name in STATUSES}
     words = ", ".join(f"{name} in {100 * part:.0f} % of the images" for name, part in parts.items() if part)
     key = "".join(
         f'<span><i style="background:var(--{name})"></i>{name} {100 * part:.0f} %</span>'
