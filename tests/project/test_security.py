@@ -32,7 +32,7 @@ _FORBIDDEN_CALLS = {"eval", "exec", "compile", "__import__", "os.system", "os.po
 _OWN = {  # no files: this package's own commands, and what a scheduler sends
     ROOT / "vapor" / "benchmark" / "live" / "faults.py": ["subprocess"],
     ROOT / "vapor" / "benchmark" / "live" / "measure.py": ["subprocess"],
-    ROOT / "vapor" / "parallel" / "worker.py": ["pickle"],
+    ROOT / "vapor" / "parallel" / "cluster.py": ["pickle"],
 }
 _REQUIRED = {"np.load": ("allow_pickle", False), "torch.load": ("weights_only", True)}
 

@@ -158,7 +158,7 @@ def test_clocks_that_differ_are_told_and_the_offset_is_found_also_of_stamps_as_n
         options = replace(BACK, time_offset_s=offset)
         return EstimateSequence([named], odometry=tmp_path / "odometry.tum", options=options)
 
-    assert "its clock differs: 0.30 s are to be added" in sequence(0.0).notices[0]
+    assert "the clock differs: 0.30 s are to be added" in sequence(0.0).notices[0]
     assert not sequence(0.3).notices
     assert "time offset 0.300" in (found := sequence("auto")).notices[0]
     assert abs(next(iter(found)).time_ns - times_ns[0]) < 60_000_000
