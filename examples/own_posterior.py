@@ -11,7 +11,7 @@ import numpy as np
 import vapor
 
 DOORS_M = 4.0 * np.arange(10.0)
-ERRORS = vapor.ErrorModel(length_m=0.5, typical_std=(0.1, 0.1, 0.1, 0.05, 0.05, 0.05))  # of detections
+ERRORS = vapor.MeasurementNoise(length_m=0.5, typical_std=(0.1, 0.1, 0.1, 0.05, 0.05, 0.05))  # of detections
 
 
 def at(x_m: np.ndarray) -> vapor.Poses:

@@ -14,7 +14,7 @@ from functools import cache
 import numpy as np
 from jaxtyping import Float64
 
-from filtering.error_model import ErrorModel
+from filtering.measurement_noise import MeasurementNoise
 from filtering.moments import settle
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
@@ -60,7 +60,7 @@ class ErrorScale:
         """Of the variance."""
         return max(_LEAST, self.total / self.count) if self.adapts else 1.0
 
-    def applied(self, errors: ErrorModel) -> ErrorModel:
+    def applied(self, errors: MeasurementNoise) -> MeasurementNoise:
         """The noise with this factor; constant errors in proportion to the information of recent images."""
         constant = errors.constant_fraction / max(self.information, 1e-3)
         return unchecked_replace(errors, constant_fraction=min(constant, 1e3)).inflated(self.factor)
@@ -87,7 +87,7 @@ class ErrorScale:
         expected = self.place @ self.since.previous_from_current
         difference = expected.between(posterior.means).log()
         carry = self.since.carry
-        new = 1.0 - posterior.errors.lasting_fraction * np.exp(-self.normalized_distance)
+        new = 1.0 - posterior.errors.correlated_fraction * np.exp(-self.normalized_distance)
         of_images = new * (carry @ self.covariance @ carry.T + posterior.covariances)
         expected_covariance = of_images + self.since.noise
         settle(expected_covariance)
@@ -99,7 +99,7 @@ class ErrorScale:
         # Where odometry is less exact than images, a difference shows the error of odometry.
         worth = float(np.trace(information[nearest] @ of_images[nearest])) / 6.0
         kept = min(1.0, _REMEMBERED / (self.count + worth))
-        found = worth * float(squared[nearest]) / _usual(posterior.errors.tail)
+        found = worth * float(squared[nearest]) / _usual(posterior.errors.degrees_of_freedom)
         scale = replace(self, total=kept * (self.total + found), count=kept * (self.count + worth))
         return scale._from(posterior, nearest)
 
@@ -109,9 +109,11 @@ class ErrorScale:
 
 
 @cache
-def _usual(tail: float) -> float:
+def _usual(degrees_of_freedom: float) -> float:
     """Mean square, without outliers, of the difference of two errors with such tails."""
     rng = np.random.default_rng(0)
-    errors = rng.standard_normal((2, _DRAWS, 6)) / np.sqrt(rng.chisquare(tail, (2, _DRAWS, 1)) / tail)
+    errors = rng.standard_normal((2, _DRAWS, 6)) / np.sqrt(
+        rng.chisquare(degrees_of_freedom, (2, _DRAWS, 1)) / degrees_of_freedom
+    )
     squared = np.square(errors[0] - errors[1]).sum(axis=1) / 12.0
     return float(squared[squared < _OUTLIER].mean())

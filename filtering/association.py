@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 from scipy.special import gammaln
 
-from filtering.hypotheses import POSE, Hypotheses, bias, blocks, concatenate
+from filtering.hypotheses import POSE, Hypotheses, blocks, concatenate, correlated_error
 from filtering.measurement import Expected, Measurement, expect, kalman_update
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
@@ -120,7 +120,7 @@ def correct(
     hypothesis, place, log_density = (_joined(pairs, name) for name in ("hypothesis", "place", "log_density"))
     log_place = np.log(np.maximum(posterior.weights, 1e-300))
     log_seen = np.log1p(-outlier)[hypothesis] + log_place[place] + log_density
-    log_unseen = np.log(outlier) + posterior.errors.flat_log_density
+    log_unseen = np.log(outlier) + posterior.errors.log_clutter_density
     log_total = _log_total(log_seen, hypothesis, log_unseen)
     unseen = np.exp(log_unseen - log_total)
     aside = np.flatnonzero(unseen > _LEAST)
@@ -155,20 +155,20 @@ def pair(
         correlation: Of the source.
         hypothesis, place: Indices, (p,).
     """
-    errors, own = posterior.errors_of(source), bias(correlation.number)
+    errors, own = posterior.errors_of(source), correlated_error(correlation.number)
     difference = belief.poses[hypothesis].between(posterior.means[place]).log()
-    lasting = belief.mean[:, slice(own.start - 6, own.stop - 6)][hypothesis]
-    factor = np.sqrt(errors.lasting_fraction) * posterior.factors[place]
-    noise = (1.0 - errors.lasting_fraction) * posterior.covariances[place]
-    innovation = difference - (factor @ lasting[:, :, None])[:, :, 0]
+    correlated = belief.mean[:, slice(own.start - 6, own.stop - 6)][hypothesis]
+    factor = np.sqrt(errors.correlated_fraction) * posterior.factors[place]
+    noise = (1.0 - errors.correlated_fraction) * posterior.covariances[place]
+    innovation = difference - (factor @ correlated[:, :, None])[:, :, 0]
     jacobian = ((POSE, None), (own, factor))
     cross, information = expect(belief.covariance, hypothesis, jacobian, noise)
     squared = np.maximum(np.vecdot(innovation, (information @ innovation[:, :, None])[:, :, 0]), 0.0)
     log_det = -np.linalg.slogdet(information)[1]
-    nu = errors.tail
+    nu = errors.degrees_of_freedom
     log_peak = gammaln((nu + 6) / 2) - gammaln(nu / 2) - 3 * np.log(nu * np.pi) - 0.5 * log_det
     # However little is known about where the camera is, it is in the map.
-    log_density = np.maximum(log_peak, posterior.errors.flat_log_density) - (nu + 6) / 2 * np.log1p(squared / nu)
+    log_density = np.maximum(log_peak, posterior.errors.log_clutter_density) - (nu + 6) / 2 * np.log1p(squared / nu)
     larger = (nu + squared) / (nu + 6)
     far = np.flatnonzero(larger > _UNUSUAL)
     if len(far):

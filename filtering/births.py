@@ -17,7 +17,7 @@ from filtering.config import Births, LocalizerConfig
 def at_a_rate(belief: Belief, novelty: float, agreement: float, config: LocalizerConfig) -> float:
     """In proportion to the novelty of the view, at a rate that is larger for views that do not fit the belief."""
     doubt = 1.0 - min(1.0, agreement / config.converged_agreement)
-    rate = config.kidnap_per_view ** (1.0 - doubt) * config.max_kidnap_per_view**doubt
+    rate = config.birth_rate ** (1.0 - doubt) * config.max_birth_rate**doubt
     return float(-np.expm1(-rate * novelty))
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from filtering.adaptation import ErrorScale
-from filtering.error_model import ErrorModel
+from filtering.measurement_noise import MeasurementNoise
 from filtering.motion import Odometry
 from filtering.novelty import NoveltyTracker
 from filtering.posterior import PosePosterior
@@ -35,7 +35,7 @@ class Source:
     """A source of places whose errors are correlated: the network of a camera, or the landmarks in its images.
 
     Attributes:
-        number: Of its lasting error in the state of a hypothesis.
+        number: Of its correlated error in the state of a hypothesis.
         errors: Noise of its places.
         tracker: Of the camera's motion, in lengths over which these errors are correlated.
         place_tracker: Likewise, in lengths over which outliers are correlated.
@@ -43,22 +43,22 @@ class Source:
     """
 
     number: int
-    errors: ErrorModel
+    errors: MeasurementNoise
     tracker: NoveltyTracker
     place_tracker: NoveltyTracker
     scale: ErrorScale
 
     @staticmethod
-    def first_seen(errors: ErrorModel, number: int, *, unknown: float, adapts: bool) -> Source:
+    def first_seen(errors: MeasurementNoise, number: int, *, unknown: float, adapts: bool) -> Source:
         """A source before its first place; the camera may have come `unknown` lengths since any earlier view."""
         tracker, place_tracker = (
             NoveltyTracker(lengths * errors.length_m, lengths * errors.length_rad, unknown=unknown)
-            for lengths in (1.0, errors.mistaken_lengths)
+            for lengths in (1.0, errors.outlier_lengths)
         )
         return Source(number, errors, tracker, place_tracker, ErrorScale(adapts))
 
     @property
-    def applied(self) -> ErrorModel:
+    def applied(self) -> MeasurementNoise:
         """Noise of its places, scaled by what odometry has shown."""
         return self.scale.applied(self.errors)
 
@@ -104,7 +104,7 @@ class CameraMemory:
 
         Args:
             view: Its first.
-            number: Of its first lasting error in the state.
+            number: Of its first correlated error in the state.
             unknown: Distance that it may have come since any earlier view, in lengths.
             adapts: Whether odometry scales its noise.
         """
@@ -120,7 +120,7 @@ class CameraMemory:
         return replace(self, sources=(*self.sources, Source.first_seen(errors, number, unknown=unknown, adapts=adapts)))
 
     @property
-    def errors(self) -> ErrorModel:
+    def errors(self) -> MeasurementNoise:
         """Noise of its images, scaled by what odometry has shown."""
         network = self.sources[0].applied
         return network if len(self.sources) == 1 else unchecked_replace(network, verified=self.sources[1].applied)

@@ -7,10 +7,10 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError, require_within
 from filtering.estimate import ModeConfig
-from filtering.motion import SlowErrors
+from filtering.measurement_noise import MeasurementNoise
+from filtering.motion import OdometryBias
 from filtering.resampling import Resampling
 
 Births = Literal["rate", "augmented-mcl"]
@@ -41,14 +41,14 @@ class GapConfig:
 
 @dataclass(frozen=True)
 class LocalizerConfig:
-    """Settings of the filter; lengths follow from the measurement noise of the images (`ErrorModel`)."""
+    """Settings of the filter; lengths follow from the measurement noise of the images (`MeasurementNoise`)."""
 
     max_hypotheses: int = 50
     """Largest number of particles, each a hypothesis with a Gaussian of its own."""
-    kidnap_per_view: float = 3e-4
+    birth_rate: float = 3e-4
     """Probability that the camera was carried off unnoticed, for every new view that fits the belief: the weight of the
     hypotheses that are born from it."""
-    max_kidnap_per_view: float = 0.1
+    max_birth_rate: float = 0.1
     """The same for a view that does not fit at all; in between, in equal ratios. Both 0: no births, where `births` is
     "rate"."""
     births: Births = "rate"
@@ -70,7 +70,7 @@ class LocalizerConfig:
     converged_std_m: float | None = None
     """The same in metres, instead."""
     converged_map_fraction: float = 0.5
-    """And at most this fraction of the size of the map (`ErrorModel.map_size_m`): a map-wide belief is not
+    """And at most this fraction of the size of the map (`MeasurementNoise.map_size_m`): a map-wide belief is not
     converged."""
     converged_agreement: float = 0.7
     """And while at least this fraction of the belief fits the latest images."""
@@ -82,7 +82,7 @@ class LocalizerConfig:
     """Least number of images over which it is averaged."""
     switch_ratio: float = 1.5
     """Another mode becomes the best one when its weight exceeds that of the best by this factor."""
-    slow_errors: SlowErrors = field(default_factory=lambda: SlowErrors(relative_drift=0.6))
+    odometry_bias: OdometryBias = field(default_factory=lambda: OdometryBias(relative_drift=0.6))
     """Scale error and drift of the odometry."""
     gap: GapConfig = field(default_factory=GapConfig)
     """Motion where odometry is missing."""
@@ -93,8 +93,8 @@ class LocalizerConfig:
         require_within(
             self,
             max_hypotheses=(1, 10**6),
-            max_kidnap_per_view=(0.0, 1.0),
-            kidnap_per_view=(0.0, self.max_kidnap_per_view),
+            max_birth_rate=(0.0, 1.0),
+            birth_rate=(0.0, self.max_birth_rate),
             merge_divergence=(0.0, 1e6),
             least_weight=(0.0, 0.1),
             converged_weight=(0.0, 1.0),
@@ -114,7 +114,7 @@ class LocalizerConfig:
         if self.converged_std_m is not None:
             require_within(self, converged_std_m=(0.0, 1e9))
 
-    def widest_std_m(self, errors: ErrorModel) -> float:
+    def widest_std_m(self, errors: MeasurementNoise) -> float:
         """The largest standard deviation of the position, along its widest axis, of a converged belief, metres."""
         if self.converged_std_m is not None:
             return self.converged_std_m

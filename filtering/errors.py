@@ -10,7 +10,7 @@ MAX_MESSAGE = 1000
 """Characters of a message, at most."""
 _LONG_MESSAGE = 300  # characters beyond which long words and paths lose some; all else stays whole
 _MAX_QUOTED = 60
-_LONG_PATH, _PATH_END = re.compile(r"/[^\s'\"]{50,}"), 40  # the end of a path says most
+_LONG_PATH, _PATH_END = re.compile(r"/[^\s'\"]{50,}"), 40  # the end of a path matters most
 _MAX_BITS = 256  # of an integer that is written out: beyond some thousand digits Python refuses to
 
 

@@ -8,14 +8,14 @@ from typing import Literal, get_args
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from filtering.error_model import ErrorModel
 from filtering.errors import require_within
 from filtering.hypotheses import Hypotheses
+from filtering.measurement_noise import MeasurementNoise
 from filtering.moments import mixture_moments
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 
-_MARGIN = 1.01  # of a squared distance that is only to tell what is worth a closer look
+_MARGIN = 1.01  # of a squared distance of hypotheses that are compared in full
 
 Status = Literal["converged", "ambiguous", "lost"]
 STATUSES: tuple[Status, ...] = get_args(Status)
@@ -46,7 +46,7 @@ class Mode:
 @dataclass(frozen=True)
 class ModeConfig:
     """Which hypotheses make one mode, in standard deviations of an ordinary image's error
-    (`ErrorModel.typical_std`)."""
+    (`MeasurementNoise.typical_std`)."""
 
     radius: float = 8.0
     """Hypotheses within so many standard deviations of a heavier one, along each axis, are one mode."""
@@ -69,11 +69,11 @@ class ModeConfig:
             min_weight=(0.0, 1.0),
         )
 
-    def same_place(self, poses: Poses, mode: Mode, errors: ErrorModel) -> Bool[np.ndarray, "*n"]:
+    def same_place(self, poses: Poses, mode: Mode, errors: MeasurementNoise) -> Bool[np.ndarray, "*n"]:
         """Which poses (any batch) lie within the reach of a mode, along each of its camera's axes."""
         return _within(mode.world_from_camera.between(poses).log(), self.reach(errors, mode.covariance))
 
-    def reach(self, errors: ErrorModel, covariance: Float64[np.ndarray, "*n 6 6"]) -> Float64[np.ndarray, "*n 6"]:
+    def reach(self, errors: MeasurementNoise, covariance: Float64[np.ndarray, "*n 6 6"]) -> Float64[np.ndarray, "*n 6"]:
         """How far modes with these covariances reach, along and about each of their axes, metres and radians."""
         reach = self.radius * errors.ordinary_std(covariance)
         reach[..., 3:] = np.minimum(np.maximum(reach[..., 3:], self.least_rad), self.most_rad)
@@ -96,7 +96,7 @@ class Estimate:
         novelty: Fraction of the image's information that earlier images lack, in [0, 1].
         normalized_distance: That the camera moved since the image before, in lengths over which the errors of its
             images are correlated.
-        unfamiliarity: Of the image, see `PosePosterior`; 0 where there was none.
+        ood_score: Of the image, see `PosePosterior`; 0 where there was none.
     """
 
     modes: tuple[Mode, ...]
@@ -107,7 +107,7 @@ class Estimate:
     agreement: float
     novelty: float
     normalized_distance: float
-    unfamiliarity: float
+    ood_score: float
 
     @property
     def effective_sample_size(self) -> float:
@@ -125,7 +125,7 @@ class Estimate:
         return self.particles[which] @ Poses.exp((factor[which] @ draws)[..., 0])
 
 
-def describe_modes(belief: Hypotheses, errors: ErrorModel, config: ModeConfig) -> tuple[Mode, ...]:
+def describe_modes(belief: Hypotheses, errors: MeasurementNoise, config: ModeConfig) -> tuple[Mode, ...]:
     """The modes of a belief, by falling weight; at least one.
 
     The heaviest hypothesis takes those in its reach, then the heaviest of the rest, and so on. Mean and covariance are

@@ -14,18 +14,18 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from filtering.errors import VaporTrackError
-from filtering.motion import SlowErrors
+from filtering.motion import OdometryBias
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from filtering.unchecked import unchecked_replace
 
-POSE, SLOW = slice(0, 6), slice(6, 13)
-"""Parts of a state: the error of the pose, and the slow errors of odometry (scale, and drift of each axis)."""
+POSE, BIAS = slice(0, 6), slice(6, 13)
+"""Parts of a state: the error of the pose, and odometry bias (scale, and drift of each axis)."""
 
 _BLOCK = 256
 
 
-def bias(source: int) -> slice:
+def correlated_error(source: int) -> slice:
     """The part of a state with the correlated error of a source of places, in units of the error's square root."""
     return slice(13 + 6 * source, 19 + 6 * source)
 
@@ -45,7 +45,7 @@ def log_sum(log_values: Float64[np.ndarray, " n"]) -> float:
 
 @dataclass(frozen=True)
 class Hypotheses:
-    """n hypotheses. A state is the error of the pose (6), slow errors of odometry (7), and of each source the bias (6).
+    """n hypotheses. A state is the error of the pose (6), odometry bias (7), and of each source the bias (6).
 
     Attributes:
         poses: world_from_camera, batch (n,). The true pose is `poses @ exp(ξ)`, ξ the error of the pose, of mean 0.
@@ -122,7 +122,7 @@ def birth(
     posterior: PosePosterior,
     camera: int,
     num_sources: int,
-    slow: SlowErrors,
+    odometry_bias: OdometryBias,
     belief: Hypotheses | None,
     landmarks: int | None = None,
 ) -> Hypotheses:
@@ -133,26 +133,26 @@ def birth(
 
     Args:
         posterior: Of an image.
-        camera: The number of the lasting error of the camera that took it.
-        num_sources: How many lasting errors a state has.
-        slow: Of the odometry.
+        camera: The number of the correlated error of the camera that took it.
+        num_sources: How many correlated errors a state has.
+        odometry_bias: Of the odometry.
         belief: Present hypotheses; None where there are none.
-        landmarks: The number of the lasting error of verified places; None where there are none.
+        landmarks: The number of the correlated error of verified places; None where there are none.
     """
     count, size = len(posterior.weights), 13 + 6 * num_sources
     covariance = np.zeros((count, size, size))
     mean = np.zeros((count, size - 6))
     diagonal = np.arange(6, size)
     covariance[:, diagonal, diagonal] = 1.0
-    covariance[:, 6, 6] = slow.scale**2
+    covariance[:, 6, 6] = odometry_bias.scale**2
     if belief is not None:
         heaviest = int(np.argmax(belief.log_weights))
         mean[:, :7] = belief.mean[heaviest, :7]
-        covariance[:, SLOW, SLOW] = belief.covariance[heaviest, SLOW, SLOW]
+        covariance[:, BIAS, BIAS] = belief.covariance[heaviest, BIAS, BIAS]
     covariance[:, POSE, POSE] = posterior.covariances
     for source, number in enumerate((camera, camera if landmarks is None else landmarks)):
-        places, own = posterior.sources[source], bias(number)
-        shared = -np.sqrt(posterior.errors_of(source).lasting_fraction) * posterior.factors[places]
+        places, own = posterior.sources[source], correlated_error(number)
+        shared = -np.sqrt(posterior.errors_of(source).correlated_fraction) * posterior.factors[places]
         covariance[places, POSE, own] = shared
         covariance[places, own, POSE] = np.swapaxes(shared, 1, 2)
     possible = np.maximum(posterior.possible, 1e-300)
@@ -160,10 +160,10 @@ def birth(
     return Hypotheses(posterior.means, mean, covariance, log_weights)
 
 
-def without_bias(covariance: Float64[np.ndarray, "n d d"], camera: int) -> Float64[np.ndarray, "n d d"]:
+def without_correlation(covariance: Float64[np.ndarray, "n d d"], camera: int) -> Float64[np.ndarray, "n d d"]:
     """Covariances of states whose poses are not correlated with the errors of a camera."""
     apart = covariance.copy()
-    apart[:, POSE, bias(camera)] = apart[:, bias(camera), POSE] = 0.0
+    apart[:, POSE, correlated_error(camera)] = apart[:, correlated_error(camera), POSE] = 0.0
     return apart
 
 

@@ -18,12 +18,12 @@ from scipy.special import fdtri
 from filtering.association import Correlation, corrected_poses, pair
 from filtering.cameras import CameraMemory, Source
 from filtering.config import GapConfig, LocalizerConfig
-from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError, require_within
 from filtering.estimate import Mode
 from filtering.hypotheses import POSE, Hypotheses, birth, with_source
+from filtering.measurement_noise import MeasurementNoise
 from filtering.moments import settle
-from filtering.motion import Odometry, SlowErrors, require_duration, require_odometry
+from filtering.motion import Odometry, OdometryBias, require_duration, require_odometry
 from filtering.posterior import PosePosterior
 from filtering.prediction import inflate, motion_of_state
 from filtering.se3 import Poses
@@ -39,7 +39,7 @@ class KalmanConfig:
     """The filter restarts after rejecting images for so long, seconds."""
     adapt_errors: bool = True
     """As of the particle filter, see `LocalizerConfig`."""
-    slow_errors: SlowErrors = field(default_factory=lambda: LocalizerConfig().slow_errors)
+    odometry_bias: OdometryBias = field(default_factory=lambda: LocalizerConfig().odometry_bias)
     """Scale error and drift of the odometry; as of the particle filter."""
     gap: GapConfig = field(default_factory=GapConfig)
     """Motion where odometry is missing."""
@@ -52,7 +52,7 @@ class KalmanLocalizer:
     """Follows one pose: odometry predicts it, the place of each image that is nearest to the prediction corrects it.
 
     The state is that of one of the particle filter's `Hypotheses`: the error of the pose, folded into the pose after
-    every step (Solà et al., "A micro Lie theory", 2018), slow errors of odometry, and the lasting error of images.
+    every step (Solà et al., "A micro Lie theory", 2018), odometry bias, and the correlated error of images.
     """
 
     def __init__(self, config: KalmanConfig | None = None) -> None:
@@ -86,11 +86,11 @@ class KalmanLocalizer:
             raise VaporTrackError("the first image has no place, expected one with at least one")
         if odom is None and self.config.gap.action == "forget":
             self._provisional = True
-        if self._pose is None or (self._provisional and not posterior.says_nothing):
+        if self._pose is None or (self._provisional and not posterior.is_uninformative):
             self._start(posterior, None)
         else:
             self._predict(self._pose, odom, elapsed_s)
-            if not posterior.says_nothing:
+            if not posterior.is_uninformative:
                 self._know(posterior.errors)
                 correlations = [
                     Correlation(source.number, source.tracker.normalized_distance) for source in self._sources
@@ -107,7 +107,7 @@ class KalmanLocalizer:
         errors = CameraMemory(self._sources, Poses.identity()).errors
         return Mode(pose, covariance + errors.constant_covariance(covariance), 1.0)
 
-    def _know(self, errors: ErrorModel) -> None:
+    def _know(self, errors: MeasurementNoise) -> None:
         """Add the correlated errors of landmarks to the state where there is a map of them."""
         if errors.verified is None or len(self._sources) > 1 or self._pose is None:
             return
@@ -135,13 +135,13 @@ class KalmanLocalizer:
             else source
             for number, source in enumerate(self._sources)
         )
-        places = birth(posterior, 0, len(errors), self.config.slow_errors, before, len(errors) - 1)
+        places = birth(posterior, 0, len(errors), self.config.odometry_bias, before, len(errors) - 1)
         heaviest = int(np.argmax(posterior.weights))
         self._pose = places.poses[heaviest]
         self._filter = KalmanFilter(dim_x=13 + 6 * len(errors), dim_z=6)
         self._filter.x = np.concatenate([np.zeros(6), places.mean[heaviest]])[:, None]
         self._filter.P = places.covariance[heaviest].copy()
-        self._provisional = posterior.says_nothing
+        self._provisional = posterior.is_uninformative
         self._rejected_s = None
 
     def _predict(self, pose: Poses, odom: Odometry | None, elapsed_s: float) -> None:
@@ -154,7 +154,7 @@ class KalmanLocalizer:
         else:
             after = [source.predict(odom, odom) for source in self._sources]
         self._sources = tuple(source for source, _ in after)
-        transition, noise = motion_of_state(odom, self.config.slow_errors, [moved for _, moved in after])
+        transition, noise = motion_of_state(odom, self.config.odometry_bias, [moved for _, moved in after])
         self._filter.predict(F=transition, Q=noise)
         settle(self._filter.P)
         self._fold((pose @ odom.previous_from_current).orthonormal())
@@ -176,7 +176,7 @@ class KalmanLocalizer:
             pairs = pair(hypothesis, posterior, source, correlation, np.zeros(len(places), np.int64), places)
             k = int(np.argmin(pairs.squared))
             # A verified place inside its gate is preferred to one of the network.
-            if pairs.squared[k] <= _gate(self.config.gate_probability, posterior.errors_of(source).tail):
+            if pairs.squared[k] <= _gate(self.config.gate_probability, posterior.errors_of(source).degrees_of_freedom):
                 nearest = pairs, k
         if nearest is None:
             return False
@@ -208,6 +208,6 @@ class KalmanLocalizer:
 
 
 @cache
-def _gate(probability: float, tail: float) -> float:
+def _gate(probability: float, degrees_of_freedom: float) -> float:
     """Squared distance within which an error of six Student t distributed components is with that probability."""
-    return float(6.0 * fdtri(6, tail, probability))
+    return float(6.0 * fdtri(6, degrees_of_freedom, probability))

@@ -12,10 +12,10 @@ from jaxtyping import Float64
 from filtering.belief import Belief
 from filtering.cameras import View
 from filtering.config import LocalizerConfig
-from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError
 from filtering.estimate import Estimate
-from filtering.hypotheses import without_bias
+from filtering.hypotheses import without_correlation
+from filtering.measurement_noise import MeasurementNoise
 from filtering.motion import Odometry
 from filtering.posterior import ObservationModel, PosePosterior
 from filtering.se3 import Poses
@@ -137,7 +137,7 @@ class ParticleLocalizer:
         self.belief, self._last_image = self.belief.forgotten(), None
 
     def start_at(
-        self, world_from_camera: Poses, covariance: Float64[np.ndarray, "6 6"], errors: ErrorModel
+        self, world_from_camera: Poses, covariance: Float64[np.ndarray, "6 6"], errors: MeasurementNoise
     ) -> Estimate:
         """Start at a stated pose.
 
@@ -155,7 +155,7 @@ class ParticleLocalizer:
         begun = initialize(self.belief.forgotten(), [view], self.config)
         hypotheses = hypotheses_of(begun)
         # The error of the stated pose is not correlated with those of the images.
-        apart = replace(hypotheses, covariance=without_bias(hypotheses.covariance, 0))
+        apart = replace(hypotheses, covariance=without_correlation(hypotheses.covariance, 0))
         belief, estimate = describe(replace(begun, hypotheses=apart), [], 0.0, self.config)
         self.belief, self._last_image = belief, None
         return estimate

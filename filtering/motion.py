@@ -210,7 +210,7 @@ class MotionNoise:
 
 
 @dataclass(frozen=True)
-class SlowErrors:
+class OdometryBias:
     """Scale error and drift of odometry, beside the white noise of its covariance.
 
     An increment that is reported as (v, ω) in the camera frame errs by s·(v, 0) + b·duration, where the scale error s

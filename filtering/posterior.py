@@ -9,9 +9,9 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from filtering.error_model import FOREIGN, ErrorModel
 from filtering.errors import VaporTrackError
 from filtering.mapped_views import MappedViews
+from filtering.measurement_noise import OUT_OF_DISTRIBUTION, MeasurementNoise
 from filtering.moments import group_moments
 from filtering.se3 import Poses
 from filtering.unchecked import unchecked_replace
@@ -32,7 +32,7 @@ class PosePosterior:
         weights: Of each place in the posterior, at least 0, in all 1 at most, (k,).
         errors: Noise of the places.
         samples: Samples of the posterior, world_from_camera, batch (m,), for display; the means where there are none.
-        unfamiliarity: Distance of the image from the training images: near 0 for one of them, 1 at the threshold,
+        ood_score: Distance of the image from the training images: near 0 for one of them, 1 at the threshold,
             above it the image is out of distribution and carries no information. 0 without a score.
         growth: Factor of the variances that follows from the score.
         verified: Whether landmarks have verified each place, whose noise is then `errors.verified`, (k,); None for
@@ -43,9 +43,9 @@ class PosePosterior:
     means: Poses
     covariances: Float64[np.ndarray, "k 6 6"]
     weights: Float64[np.ndarray, " k"]
-    errors: ErrorModel
+    errors: MeasurementNoise
     samples: Poses
-    unfamiliarity: float = 0.0
+    ood_score: float = 0.0
     growth: float = 1.0
     verified: Bool[np.ndarray, " k"] | None = None
     mapped: MappedViews | None = None
@@ -71,11 +71,11 @@ class PosePosterior:
             np.linalg.cholesky(self.covariances)
         except np.linalg.LinAlgError:
             raise VaporTrackError("posterior: a covariance is singular or has a negative eigenvalue") from None
-        if not self.unfamiliarity >= 0.0:  # NaN compares as false
-            raise VaporTrackError(f"posterior: unfamiliarity is {self.unfamiliarity}, expected 0 or more")
+        if not self.ood_score >= 0.0:  # NaN compares as false
+            raise VaporTrackError(f"posterior: ood_score is {self.ood_score}, expected 0 or more")
 
     @staticmethod
-    def from_samples(samples: Poses, errors: ErrorModel, *, unfamiliarity: float = 0.0) -> PosePosterior:
+    def from_samples(samples: Poses, errors: MeasurementNoise, *, ood_score: float = 0.0) -> PosePosterior:
         """The places among posterior samples (m,), m ≥ 1.
 
         Raises:
@@ -88,16 +88,16 @@ class PosePosterior:
         own = np.flatnonzero(label >= 0)
         means, covariances, _ = group_moments(samples[own], np.ones(len(own)), label[own], count)
         weights = np.bincount(label[own], minlength=count) / len(samples)
-        growth = errors.growth(unfamiliarity)
+        growth = errors.growth(ood_score)
         covariances = growth * errors.covariance(covariances)
-        return PosePosterior(means, covariances, weights, errors, samples, unfamiliarity, growth)
+        return PosePosterior(means, covariances, weights, errors, samples, ood_score, growth)
 
     @staticmethod
     def from_estimates(
         estimates: Poses,
         std_m: float | Float64[np.ndarray, " m"],
         std_rad: float | Float64[np.ndarray, " m"],
-        errors: ErrorModel,
+        errors: MeasurementNoise,
         *,
         weights: Float64[np.ndarray, " m"] | None = None,
     ) -> PosePosterior:
@@ -125,24 +125,24 @@ class PosePosterior:
         return PosePosterior(estimates, variances[:, :, None] * np.eye(6), weights, errors, estimates)
 
     @staticmethod
-    def nothing(errors: ErrorModel | None = None, samples: Poses | None = None) -> PosePosterior:
+    def uninformative(errors: MeasurementNoise | None = None, samples: Poses | None = None) -> PosePosterior:
         """The posterior of an image without information: it changes no belief."""
         none = Poses.identity(0)
-        return PosePosterior(none, np.zeros((0, 6, 6)), np.zeros(0), errors or ErrorModel(), samples or none)
+        return PosePosterior(none, np.zeros((0, 6, 6)), np.zeros(0), errors or MeasurementNoise(), samples or none)
 
     def without_places(self) -> PosePosterior:
         """The same without any place, with its score."""
-        return replace(PosePosterior.nothing(self.errors, self.samples), unfamiliarity=self.unfamiliarity)
+        return replace(PosePosterior.uninformative(self.errors, self.samples), ood_score=self.ood_score)
 
     @property
-    def is_foreign(self) -> bool:
+    def is_out_of_distribution(self) -> bool:
         """Whether the image is too unlike the training images to be of their place."""
-        return self.unfamiliarity > FOREIGN
+        return self.ood_score > OUT_OF_DISTRIBUTION
 
     @property
-    def says_nothing(self) -> bool:
+    def is_uninformative(self) -> bool:
         """Whether it has no place, or is out of distribution."""
-        return len(self.weights) == 0 or self.is_foreign
+        return len(self.weights) == 0 or self.is_out_of_distribution
 
     @cached_property
     def variances(self) -> tuple[Float64[np.ndarray, " k"], Float64[np.ndarray, " k"]]:
@@ -200,7 +200,7 @@ class PosePosterior:
             return np.arange(len(self.weights)), np.empty(0, np.int64)
         return np.flatnonzero(~self.verified), np.flatnonzero(self.verified)
 
-    def errors_of(self, source: int) -> ErrorModel:
+    def errors_of(self, source: int) -> MeasurementNoise:
         """Noise of the places of a source, by its number in `sources`."""
         return self.errors if source == 0 else self.errors.finest
 

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float64
 
-from filtering.hypotheses import POSE, SLOW, Hypotheses, blocks
+from filtering.hypotheses import BIAS, POSE, Hypotheses, blocks
 from filtering.moments import settle
-from filtering.motion import Odometry, SlowErrors
+from filtering.motion import Odometry, OdometryBias
 from filtering.se3 import Poses
 
 _WIDEST_RAD = 2.0  # standard deviation: all directions
@@ -18,7 +18,7 @@ _LONGEST_S = 1e10  # three centuries
 
 
 def motion_of_state(
-    odometry: Odometry, slow: SlowErrors, distances: Sequence[float]
+    odometry: Odometry, odometry_bias: OdometryBias, distances: Sequence[float]
 ) -> tuple[Float64[np.ndarray, "d d"], Float64[np.ndarray, "d d"]]:
     """The linear transition of a state by a motion, and the covariance of the noise that the motion adds.
 
@@ -26,7 +26,7 @@ def motion_of_state(
 
     Args:
         odometry: The motion.
-        slow: What slow errors it may have.
+        odometry_bias: Its bias.
         distances: Normalized distance that the camera of each source moved.
     """
     size = 13 + 6 * len(distances)
@@ -35,18 +35,18 @@ def motion_of_state(
         (6, 7)
     )  # of the increment, by scale error and drift; a positive scale error means too long increments
     errs[:3, 0] = -odometry.tangent[:3]
-    if slow.drift is None:
-        drift = slow.relative_drift * np.sqrt(np.diag(odometry.covariance) * duration_s)
+    if odometry_bias.drift is None:
+        drift = odometry_bias.relative_drift * np.sqrt(np.diag(odometry.covariance) * duration_s)
     else:
-        drift = np.asarray(slow.drift) * duration_s
+        drift = np.asarray(odometry_bias.drift) * duration_s
     errs[:, 1:] = -np.diag(drift)
     kept = np.ones(size - 6)
-    kept[1:7] = np.exp(-duration_s / slow.time_s)
+    kept[1:7] = np.exp(-duration_s / odometry_bias.time_s)
     for source, distance in enumerate(distances):
         kept[7 + 6 * source : 13 + 6 * source] = np.exp(-distance)
     transition = np.zeros((size, size))
     transition[POSE, POSE] = odometry.carry
-    transition[POSE, SLOW] = errs
+    transition[POSE, BIAS] = errs
     rest = np.arange(6, size)
     transition[rest, rest] = kept
     noise = np.zeros((size, size))
@@ -55,19 +55,21 @@ def motion_of_state(
     return transition, noise
 
 
-def predict(hypotheses: Hypotheses, odometry: Odometry, slow: SlowErrors, distances: Sequence[float]) -> Hypotheses:
+def predict(
+    hypotheses: Hypotheses, odometry: Odometry, odometry_bias: OdometryBias, distances: Sequence[float]
+) -> Hypotheses:
     """Hypotheses after a motion.
 
     Args:
         hypotheses: Before.
         odometry: The motion.
-        slow: What slow errors it may have.
+        odometry_bias: Its bias.
         distances: Normalized distance that the camera of each source moved.
     """
-    transition, noise = motion_of_state(odometry, slow, distances)
+    transition, noise = motion_of_state(odometry, odometry_bias, distances)
     step = odometry.previous_from_current
     kept = np.diag(transition)[6:]
-    poses = hypotheses.poses @ (step @ Poses.exp(hypotheses.mean[:, :7] @ transition[POSE, SLOW].T))
+    poses = hypotheses.poses @ (step @ Poses.exp(hypotheses.mean[:, :7] @ transition[POSE, BIAS].T))
     covariance = _carried(hypotheses.covariance, transition[POSE, :13], kept)
     covariance[:, POSE, POSE] += noise[POSE, POSE]
     rest = np.arange(6, len(noise))

@@ -1,8 +1,8 @@
 """Estimates and odometry -> smoothed trajectory: a GTSAM factor graph that resolves the start in hindsight.
 
 Per image the factor is a mixture over the modes of its posterior, handled as max-mixture (Olson and Agarwal, "Inference
-on networks of mixtures", 2013): the mode that fits best counts, with the tails of the error model. Images with
-correlated errors share their information, and the slow errors of odometry widen its noise. GTSAM's Pose3 tangent is
+on networks of mixtures", 2013): the mode that fits best counts, with the tails of the measurement noise. Images with
+correlated errors share their information, and odometry bias widen its noise. GTSAM's Pose3 tangent is
 rotation first; the one permutation lives here.
 """
 
@@ -20,11 +20,11 @@ from scipy.special import gammaln
 
 from filtering.association import PLACE
 from filtering.config import LocalizerConfig
-from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError, require_within
 from filtering.estimate import Mode
-from filtering.hypotheses import POSE, SLOW
-from filtering.motion import Odometry, SlowErrors
+from filtering.hypotheses import BIAS, POSE
+from filtering.measurement_noise import MeasurementNoise
+from filtering.motion import Odometry, OdometryBias
 from filtering.prediction import motion_of_state
 from filtering.se3 import Poses
 
@@ -44,7 +44,7 @@ class SmoothingConfig:
 
     rounds: int = 3
     """Largest number of alternations between choosing modes and solving."""
-    slow_errors: SlowErrors = field(default_factory=lambda: LocalizerConfig().slow_errors)
+    odometry_bias: OdometryBias = field(default_factory=lambda: LocalizerConfig().odometry_bias)
     """Scale error and drift of the odometry; as of the particle filter."""
     cover_s: float = 10.0
     """Time over which the noise of odometry is widened to cover them, seconds."""
@@ -53,18 +53,18 @@ class SmoothingConfig:
         require_within(self, rounds=(1, 1000), cover_s=(0.0, 1e9))
 
 
-def independence(distances: Float64[np.ndarray, " n"], lasting_fraction: float) -> Float64[np.ndarray, " n"]:
+def independence(distances: Float64[np.ndarray, " n"], correlated_fraction: float) -> Float64[np.ndarray, " n"]:
     """The fraction of an independent measurement that each image of a sequence is worth, in (0, 1].
 
     These are the weights K⁻¹ 1 of the best linear estimate of one pose, and their sum 1ᵀ K⁻¹ 1 is the number of
-    independent images that all are worth. K are the correlations of their errors, `lasting_fraction` · exp(−distance
-    between them). Images taken standing are worth 1 / lasting_fraction together. On a long path in even steps g each is
-    worth 1 / (1 − lasting_fraction + lasting_fraction · coth(g/2)).
+    independent images that all are worth. K are the correlations of their errors, `correlated_fraction` · exp(−distance
+    between them). Images taken standing are worth 1 / correlated_fraction together. On a long path in even steps g
+    each is worth 1 / (1 − correlated_fraction + correlated_fraction · coth(g/2)).
 
     Args:
         distances: Normalized distance that the camera moved since the image before, see `Estimate`; the first is not
             used.
-        lasting_fraction: Fraction of the error's variance that is correlated, in [0, 1).
+        correlated_fraction: Fraction of the error's variance that is correlated, in [0, 1).
     """
     n = len(distances)
     if n < 2:
@@ -77,8 +77,8 @@ def independence(distances: Float64[np.ndarray, " n"], lasting_fraction: float) 
         diagonal[part] += inverse - 1.0
         alone[part] += 1.0 / (1.0 + kept) - 1.0
     banded = np.zeros((2, n))
-    banded[0, 1:] = -(1.0 - lasting_fraction) * kept * inverse
-    banded[1] = lasting_fraction + (1.0 - lasting_fraction) * diagonal
+    banded[0, 1:] = -(1.0 - correlated_fraction) * kept * inverse
+    banded[1] = correlated_fraction + (1.0 - correlated_fraction) * diagonal
     return np.clip(solveh_banded(banded, alone), 1e-9, 1.0)
 
 
@@ -88,7 +88,7 @@ def smooth(
     distances: Float64[np.ndarray, " n"],
     filtered: Poses,
     converged: Bool[np.ndarray, " n"],
-    errors: ErrorModel,
+    errors: MeasurementNoise,
     config: SmoothingConfig | None = None,
 ) -> Poses:
     """The most likely trajectory given all images and all odometry.
@@ -129,7 +129,10 @@ def smooth(
 
 
 def agreement(
-    trajectory: Poses, times_ns: Int64[np.ndarray, " n"], image_modes: Sequence[tuple[Mode, ...]], errors: ErrorModel
+    trajectory: Poses,
+    times_ns: Int64[np.ndarray, " n"],
+    image_modes: Sequence[tuple[Mode, ...]],
+    errors: MeasurementNoise,
 ) -> Float64[np.ndarray, " n"]:
     """How well each pose of a trajectory fits the images about it, like the filter's agreement for a belief.
 
@@ -168,7 +171,7 @@ def agreement(
     return (summed[last] - summed[first]) / np.maximum(count[last] - count[first], 1.0)
 
 
-def _within_map(trajectory: Poses, modes: Sequence[Mode], errors: ErrorModel) -> Bool[np.ndarray, " n"]:
+def _within_map(trajectory: Poses, modes: Sequence[Mode], errors: MeasurementNoise) -> Bool[np.ndarray, " n"]:
     """Whether poses are near enough for a mode beyond those given: within ten times the extent of all modes."""
     if not modes:
         return np.zeros(len(trajectory), bool)
@@ -211,7 +214,7 @@ class _ImageModes:
     """
 
     def __init__(
-        self, modes: Sequence[tuple[Mode, ...]], distances: Float64[np.ndarray, " n"], errors: ErrorModel
+        self, modes: Sequence[tuple[Mode, ...]], distances: Float64[np.ndarray, " n"], errors: MeasurementNoise
     ) -> None:
         flat = [mode for choices in modes for mode in choices]
         counts = np.array([len(choices) for choices in modes])
@@ -221,22 +224,26 @@ class _ImageModes:
         self.poses = Poses.stack([mode.world_from_camera for mode in flat]) if flat else Poses.identity(0)
         stated = np.stack([mode.covariance for mode in flat]) + _REGULAR if flat else np.zeros((0, 6, 6))
         verified = np.array([mode.verified for mode in flat], bool)
-        tail = np.where(verified, errors.finest.tail, errors.tail)
+        degrees_of_freedom = np.where(verified, errors.finest.degrees_of_freedom, errors.degrees_of_freedom)
         of_image = np.ones(len(modes))
         travelled = np.cumsum(distances)
         since = np.diff(travelled[self.images], prepend=0.0)
-        of_image[self.images] = independence(since, errors.lasting_fraction)
+        of_image[self.images] = independence(since, errors.correlated_fraction)
         exact = np.unique(self._image[verified])  # images with verified modes
         # Distances are in lengths of the network's errors; landmarks have others.
         ratios = errors.length_m / errors.finest.length_m, errors.length_rad / errors.finest.length_rad
         since = np.diff(travelled[exact], prepend=0.0) * min(ratios)  # moved or turned
-        of_image[exact] = independence(since, errors.finest.lasting_fraction)
+        of_image[exact] = independence(since, errors.finest.correlated_fraction)
         worth = of_image[self._image]
-        self.kernel = np.sqrt((tail + 6.0) * worth)
-        self.covariance = stated * (tail / np.square(self.kernel))[:, None, None]
+        self.kernel = np.sqrt((degrees_of_freedom + 6.0) * worth)
+        self.covariance = stated * (degrees_of_freedom / np.square(self.kernel))[:, None, None]
         self._information = np.linalg.inv(self.covariance)
         log_weight = np.log([max(mode.weight, 1e-6) for mode in flat])
-        log_peak = gammaln((tail + 6.0) / 2.0) - gammaln(tail / 2.0) - 3.0 * np.log(tail * np.pi)
+        log_peak = (
+            gammaln((degrees_of_freedom + 6.0) / 2.0)
+            - gammaln(degrees_of_freedom / 2.0)
+            - 3.0 * np.log(degrees_of_freedom * np.pi)
+        )
         self._cost = worth * (0.5 * np.linalg.slogdet(stated)[1] - log_peak - log_weight)
 
     def choose(self, trajectory: Poses) -> tuple[Int64[np.ndarray, " c"], float]:
@@ -279,9 +286,9 @@ def _optimise(
 
 
 def _widened(step: Odometry, config: SmoothingConfig) -> Float64[np.ndarray, "6 6"]:
-    """Covariance of white noise that equals noise and slow errors of an increment over `cover_s`."""
-    slow = config.slow_errors
-    errs = motion_of_state(step, slow, [])[0][POSE, SLOW] * np.array([slow.scale, *6 * [1.0]])
+    """Covariance of white noise that equals noise and odometry bias of an increment over `cover_s`."""
+    odometry_bias = config.odometry_bias
+    errs = motion_of_state(step, odometry_bias, [])[0][POSE, BIAS] * np.array([odometry_bias.scale, *6 * [1.0]])
     return step.noise + config.cover_s / max(step.duration_s, 1e-9) * (errs @ errs.T)
 
 

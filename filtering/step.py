@@ -16,10 +16,10 @@ from filtering.belief import Belief
 from filtering.births import BIRTHS
 from filtering.cameras import CameraMemory, View
 from filtering.config import LocalizerConfig
-from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError
 from filtering.estimate import Estimate, Mode, Status, describe_modes
 from filtering.hypotheses import Hypotheses, birth, concatenate, with_source
+from filtering.measurement_noise import MeasurementNoise
 from filtering.mixture_reduction import reduce_mixture
 from filtering.motion import Odometry, require_odometry
 from filtering.posterior import PosePosterior
@@ -47,7 +47,7 @@ def step(
         VaporTrackError: the odometry is invalid (`require_odometry`), or no view has any place at a first step.
     """
     belief = predict(belief, odometry, elapsed_s, config)
-    informative, novelty = [view for view in views if not view.posterior.says_nothing], 0.0
+    informative, novelty = [view for view in views if not view.posterior.is_uninformative], 0.0
     if needs_initialization(belief, views):
         belief = initialize(belief, views, config)
         informative, novelty = informative[1:], 1.0
@@ -89,7 +89,7 @@ def predict(belief: Belief, odometry: Odometry | None, elapsed_s: float, config:
     distances = [numbered[number] for number in sorted(numbered)]
     return unchecked_replace(
         belief,
-        hypotheses=predict_hypotheses(hypotheses, odometry, config.slow_errors, distances),
+        hypotheses=predict_hypotheses(hypotheses, odometry, config.odometry_bias, distances),
         cameras=cameras,
         best=None if belief.best is None else belief.best @ odometry.previous_from_current,
         agreement=agreement,
@@ -168,11 +168,11 @@ def follow_agreement(
     belief: Belief, used: Sequence[UsedView], views: Sequence[View], config: LocalizerConfig
 ) -> Belief:
     """Average the fraction of the belief that fits the latest images; nothing fits one out of distribution."""
-    foreign = sum(view.posterior.is_foreign for view in views)
-    if not used and not foreign:
+    out_of_distribution = sum(view.posterior.is_out_of_distribution for view in views)
+    if not used and not out_of_distribution:
         return belief
     follow = min(-np.expm1(-belief.unseen_s / config.agreement_s), 1.0 / config.agreement_images)
-    fits = sum(one.agreement for one in used) / (len(used) + foreign)
+    fits = sum(one.agreement for one in used) / (len(used) + out_of_distribution)
     agreement = belief.agreement + follow * (fits - belief.agreement)
     usual = belief.usual_agreement - np.expm1(-belief.unseen_s / _USUAL_S) * (agreement - belief.usual_agreement)
     return unchecked_replace(belief, agreement=agreement, usual_agreement=usual, unseen_s=0.0)
@@ -183,7 +183,7 @@ def follow_agreement(
 
 def needs_initialization(belief: Belief, views: Sequence[View]) -> bool:
     """Whether these views alone make the belief."""
-    informative = not all(view.posterior.says_nothing for view in views)
+    informative = not all(view.posterior.is_uninformative for view in views)
     return belief.hypotheses is None or (belief.provisional and informative)
 
 
@@ -193,8 +193,11 @@ def initialize(belief: Belief, views: Sequence[View], config: LocalizerConfig) -
     Raises:
         VaporTrackError: no view has any place.
     """
-    informative = [view for view in views if not view.posterior.says_nothing]
-    candidates, provisional = informative or [view for view in views if view.posterior.is_foreign], not informative
+    informative = [view for view in views if not view.posterior.is_uninformative]
+    candidates, provisional = (
+        informative or [view for view in views if view.posterior.is_out_of_distribution],
+        not informative,
+    )
     first = next((view for view in candidates if len(view.posterior.weights)), None)
     if first is None:
         raise VaporTrackError("the first image has no place, expected one with at least one")
@@ -228,7 +231,7 @@ def born_at(posterior: PosePosterior, camera: CameraMemory, belief: Belief, conf
     """Hypotheses at the places of one image alone."""
     network, *others = [source.number for source in camera.sources]
     landmarks = others[0] if others else None
-    return birth(posterior, network, belief.num_sources, config.slow_errors, belief.hypotheses, landmarks)
+    return birth(posterior, network, belief.num_sources, config.odometry_bias, belief.hypotheses, landmarks)
 
 
 # --- the estimate --------------------------------------------------------------------------------------
@@ -247,13 +250,13 @@ def describe(belief: Belief, views: Sequence[View], novelty: float, config: Loca
         belief.agreement,
         novelty,
         belief.normalized_distance,
-        max((view.posterior.unfamiliarity for view in views), default=0.0),
+        max((view.posterior.ood_score for view in views), default=0.0),
     )
     return unchecked_replace(belief, best=modes[0].world_from_camera), estimate
 
 
 def _ordered(
-    modes: tuple[Mode, ...], best: Poses | None, errors: ErrorModel, config: LocalizerConfig
+    modes: tuple[Mode, ...], best: Poses | None, errors: MeasurementNoise, config: LocalizerConfig
 ) -> tuple[Mode, ...]:
     """The previous best mode stays first unless another clearly outweighs it."""
     if best is None or len(modes) == 1:
@@ -266,7 +269,7 @@ def _ordered(
     return modes
 
 
-def _status(best: Mode, agreement: float, errors: ErrorModel, config: LocalizerConfig) -> Status:
+def _status(best: Mode, agreement: float, errors: MeasurementNoise, config: LocalizerConfig) -> Status:
     if agreement < config.lost_agreement:
         return "lost"
     sure = best.weight >= config.converged_weight and best.widest_std_m <= config.widest_std_m(errors)

@@ -36,7 +36,7 @@ class ReadingOptions:
     """Topic of the odometry, nav_msgs/Odometry."""
     odometry_frame: str | None = None
     """Take the odometry from tf instead: the frame that it is in, such as odom. Default: odom, where there is no topic
-    of odometry and tf says how the camera moves in a frame of that name."""
+    of odometry and tf gives the camera's motion in a frame of that name."""
     camera_info_topic: str | None = None
     """Topic of the intrinsics, sensor_msgs/CameraInfo or foxglove.CameraCalibration; '' for none. Default: the one
     beside the image topic."""
@@ -109,7 +109,7 @@ class SequenceOptions(ReadingOptions):
         self._check_true_poses()
 
     @property
-    def told(self) -> dict[str, Any]:
+    def stated(self) -> dict[str, Any]:
         """All of them by name, as JSON."""
         return json.loads(json.dumps(asdict(self), default=str))
 

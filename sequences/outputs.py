@@ -142,7 +142,7 @@ def folder_to_write(directory: Path) -> Path:
     return folder
 
 
-def foreign_files(directory: Path, reads: Iterable[Path]) -> dict[str, str]:
+def unexpected_files(directory: Path, reads: Iterable[Path]) -> dict[str, str]:
     """Other files of a folder than the results that its manifest lists: descriptions by name.
 
     Files that the command reads are never results.
@@ -152,18 +152,18 @@ def foreign_files(directory: Path, reads: Iterable[Path]) -> dict[str, str]:
     manifest = own_manifest(directory)
     listed = {} if manifest is None else manifest["files"] or {}
     read = {path.resolve() for path in reads}
-    foreign: dict[str, str] = {}
+    unexpected: dict[str, str] = {}
     for entry in sorted(directory.iterdir()):
         name, ours = entry.name, listed.get(entry.name)
         if is_workspace(name) or name == CACHE or (name == MANIFEST and listed):
             continue
         if entry.resolve() in read:
-            foreign[name] = f"{name} (which is read)"
+            unexpected[name] = f"{name} (which is read)"
         elif ours is None:
-            foreign[name] = name
+            unexpected[name] = name
         elif not ours.is_of(entry):
-            foreign[name] = f"{name} (changed)"
-    return foreign
+            unexpected[name] = f"{name} (changed)"
+    return unexpected
 
 
 def short_list(names: Sequence[str]) -> str:
@@ -226,22 +226,22 @@ def require_replaceable(
     with writing(directory):
         given, directory = directory, folder_to_write(directory)
         reads = list(reads) if directory.exists() else []
-        foreign = foreign_files(directory, reads)
-        if foreign and not overwrite:
+        unexpected = unexpected_files(directory, reads)
+        if unexpected and not overwrite:
             raise SequenceError(
-                f"{given}: {short_list([*foreign.values()])}, expected an empty folder or unchanged results;"
+                f"{given}: {short_list([*unexpected.values()])}, expected an empty folder or unchanged results;"
                 " --overwrite replaces files of the results' names only"
             )
-        _refuse_lost(directory, foreign, reads, writes)
+        _refuse_lost(directory, unexpected, reads, writes)
         return directory
 
 
-def _refuse_lost(directory: Path, foreign: Collection[str], reads: Iterable[Path], writes: Collection[str]) -> None:
+def _refuse_lost(directory: Path, unexpected: Collection[str], reads: Iterable[Path], writes: Collection[str]) -> None:
     """Raise where replacing files by name would lose what is read, or a folder."""
     names, place = sorted({*writes, MANIFEST}), directory.resolve()
     for path in reads:
         path = path.resolve()
-        lost = [place / name for name in names if name in foreign] if place.is_relative_to(path) else []
+        lost = [place / name for name in names if name in unexpected] if place.is_relative_to(path) else []
         if path == place or (path.parent == place and path.name in names):
             lost = [path]
         if lost:

@@ -127,7 +127,7 @@ class SequenceReader:
             lateness_ns=0 if images is None else images.lateness_ns,
         )
         motion, self._pairing = pairing.motion, pairing
-        self.counts, self._skipped_messages = pairing.left_out.counts, pairing.left_out.messages
+        self.counts, self._skipped_messages = pairing.skipped.counts, pairing.skipped.messages
         self.across_jumps, self.notices = 0, [*self._found_notices, *timeline.notices]
         beside = {topic: links for topic, links in roles.watched.items() if topic != roles.image.name}
         streams = MotionStreams(timeline, beside, pairing)
@@ -176,7 +176,7 @@ class SequenceReader:
             raise SequenceError(f"{self.path}: no image has odometry: {apart}")
         if self.counts.used == 0:
             found = ", ".join(f"{count} × {reason}" for reason, count in self.skipped.items()) or "nothing was skipped"
-            problem = next(iter(pairing.left_out.problems.values()), "")
+            problem = next(iter(pairing.skipped.problems.values()), "")
             raise SequenceError(
                 f"{self.path}: no image left of {self.num_images} on {roles.image.name}: {found}"
                 f"{problem}; {'; '.join([*notices, 'expected at least one that can be used'])}"

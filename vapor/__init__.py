@@ -9,16 +9,16 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from filtering.cameras import View as View
     from filtering.config import LocalizerConfig as LocalizerConfig
-    from filtering.error_model import ErrorModel as ErrorModel
     from filtering.errors import VaporTrackError as VaporTrackError
     from filtering.estimate import Estimate as Estimate
     from filtering.estimate import Mode as Mode
-    from filtering.floors import Floors as Floors
     from filtering.localizer import ParticleLocalizer as ParticleLocalizer
+    from filtering.measurement_noise import MeasurementNoise as MeasurementNoise
     from filtering.motion import Odometry as Odometry
     from filtering.posterior import ObservationModel as ObservationModel
     from filtering.posterior import PosePosterior as PosePosterior
     from filtering.se3 import Poses as Poses
+    from filtering.storeys import Storeys as Storeys
     from sequences.reader import SequenceReader as SequenceReader
     from vapor.calibration.calibrate_model import calibrate_model as calibrate_model
     from vapor.landmarks.verify import LandmarkVerifier as LandmarkVerifier
@@ -34,9 +34,9 @@ if TYPE_CHECKING:
     from vapor.training.train import train as train
 
 _MODULES = {
-    "ErrorModel": "filtering.error_model",
+    "MeasurementNoise": "filtering.measurement_noise",
     "Estimate": "filtering.estimate",
-    "Floors": "filtering.floors",
+    "Storeys": "filtering.storeys",
     "LandmarkVerifier": "vapor.landmarks.verify",
     "LiveConfig": "vapor.robot.config",
     "LiveEstimate": "vapor.robot.belief",

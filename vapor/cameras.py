@@ -57,7 +57,8 @@ class AsTakenBy:
 
     @property
     def sees_less(self) -> bool:
-        """Whether images so far show much less than that camera would have seen; filled parts look foreign."""
+        """Whether images so far show much less than that camera would have seen; filled parts look out of
+        distribution."""
         return self.least_fraction < _LEAST_FRACTION
 
     @property

@@ -7,11 +7,11 @@ from functools import cached_property
 
 import numpy as np
 
-from filtering.error_model import FOREIGN
 from filtering.errors import VaporTrackError
-from filtering.floors import Floors
+from filtering.measurement_noise import OUT_OF_DISTRIBUTION
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
+from filtering.storeys import Storeys
 from sequences.frame import Camera
 from vapor.cameras import AsTakenBy
 from vapor.checkpoints.checkpoint import Checkpoint, ModelDescription
@@ -106,9 +106,9 @@ class VaporObservationModel:
         return other
 
     @cached_property
-    def floors(self) -> Floors | None:
-        """The floors on which the model's training images were taken; None where there is one only."""
-        return Floors.found_in(self.description.prior_poses)
+    def storeys(self) -> Storeys | None:
+        """The storeys on which the model's training images were taken; None where there is one only."""
+        return Storeys.found_in(self.description.prior_poses)
 
     @property
     def notices(self) -> list[str]:
@@ -133,12 +133,12 @@ class VaporObservationModel:
         noise = rng.standard_normal((self.num_samples, self.engine.noise_dim), dtype=np.float32)
         seen = self.engine.run(prepared, noise)
         samples = Poses(seen.rotation.astype(np.float64), seen.translation.astype(np.float64))
-        unfamiliarity = self._unfamiliarity(seen.description)
+        ood_score = self._ood_score(seen.description)
         errors = self.description.calibration.errors
-        return PosePosterior.from_samples(samples, errors, unfamiliarity=unfamiliarity)
+        return PosePosterior.from_samples(samples, errors, ood_score=ood_score)
 
-    def unfamiliarity(self, image: np.ndarray, camera: Camera | None) -> float:
-        """How unlike the training images an image of a camera is, as `PosePosterior.unfamiliarity`.
+    def ood_score(self, image: np.ndarray, camera: Camera | None) -> float:
+        """How unlike the training images an image of a camera is, as `PosePosterior.ood_score`.
 
         Raises:
             VaporTrackError: the image is not (H, W, 3) uint8.
@@ -147,14 +147,14 @@ class VaporObservationModel:
         as_learned = AsTakenBy(self.description.camera, self.description.network.frame_size)
         prepared = prepare(as_learned(image, camera), self.description.network)
         noise = np.zeros((self.num_samples, self.engine.noise_dim), np.float32)
-        return self._unfamiliarity(self.engine.run(prepared, noise).description)
+        return self._ood_score(self.engine.run(prepared, noise).description)
 
-    def _unfamiliarity(self, description: np.ndarray) -> float:
+    def _ood_score(self, description: np.ndarray) -> float:
         """Score of an image by its description; 0 where the model has no scores."""
-        if self.description.familiarity is None:
+        if self.description.ood_model is None:
             return 0.0
-        score = float(self.description.familiarity.unfamiliarity(description[None])[0])
-        return min(score, FOREIGN) if self._as_learned.sees_less else score
+        score = float(self.description.ood_model.ood_score(description[None])[0])
+        return min(score, OUT_OF_DISTRIBUTION) if self._as_learned.sees_less else score
 
 
 def _verifier(model: ModelDescription) -> LandmarkVerifier | None:

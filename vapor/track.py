@@ -46,7 +46,7 @@ def run_program(program: str, about: str, commands: dict[str, str], package: str
     """Run the command line of a program, whose commands are modules of a package that have a `main`; as `main`."""
     if arguments is None and _signal.getsignal(_signal.SIGINT) is _signal.default_int_handler:
         _signal.signal(_signal.SIGINT, _signal.SIG_DFL)  # ends the process as SIGTERM does, until `take` below
-    from vapor.commands.terminal import Signals, encode_anything, flush_output, overview, say, wrapped, write
+    from vapor.commands.terminal import Signals, encode_anything, flush_output, overview, wrapped, write, write_error
 
     words = list(sys.argv[1:] if arguments is None else arguments)
     prefix = " ".join([program, *(word for word in words[:1] if word in commands)])
@@ -71,7 +71,7 @@ def run_program(program: str, about: str, commands: dict[str, str], package: str
             return signals.report()
         if (failure := _failure(error)) is None:
             raise
-        say(f"{prefix}: {failure}")
+        write_error(f"{prefix}: {failure}")
         return 1
     finally:
         signals.working, signals.silent = False, True
@@ -81,14 +81,14 @@ def _run(program: str, commands: dict[str, str], package: str, words: list[str],
     import importlib
 
     from filtering.errors import shortened
-    from vapor.commands.terminal import say, write
+    from vapor.commands.terminal import write, write_error
 
     name, rest = words[0], words[1:]
     if name == "--version":
         write(f"{program} {importlib.import_module('importlib.metadata').version('vapor-track')}")
         return 0
     if name not in commands:
-        say(f"{program}: unknown command {shortened(repr(name), 60)}, expected one of {', '.join(commands)}")
+        write_error(f"{program}: unknown command {shortened(repr(name), 60)}, expected one of {', '.join(commands)}")
         return 2
     command = importlib.import_module(f"{package}.{name.replace('-', '_')}").main
     signals.working = True

@@ -16,7 +16,7 @@ from sequences.datasets.listing import list_images
 from sequences.errors import SequenceError
 from sequences.files import Rows
 from sequences.frame import BASE_FROM_CAMERA, Camera
-from sequences.images.headers import why_left_out
+from sequences.images.headers import why_skipped
 from sequences.images.undistortion import Lens
 from sequences.odometry import OdometryNoise, simulate_odometry
 from sequences.reading.counts import uncovered
@@ -98,7 +98,7 @@ def convert(
     num_images = 0
     with SequenceWriter(output, camera=camera, base_from_camera=BASE_FROM_CAMERA, metadata=metadata) as writer:
         next_odometry = 0
-        rows = Rows("images", why_left_out)
+        rows = Rows("images", why_skipped)
         for i, file in rows.each(enumerate(images.files)):
             progress(i + 1, len(images))
             time_ns = int(images.times_ns[i])

@@ -15,7 +15,7 @@ from sequences.datasets.points import SeenPoints
 from sequences.errors import SequenceError
 from sequences.files import Rows
 from sequences.frame import Camera, Frame
-from sequences.images.headers import why_left_out
+from sequences.images.headers import why_skipped
 from sequences.images.undistortion import Lens, pinhole_of, undistorted
 from sequences.options import OdometryUse, SequenceOptions
 from sequences.reader import SequenceReader
@@ -82,7 +82,7 @@ class PosedFrames(Iterator[Frame]):
         source = self._open()
         assert isinstance(source, PosedImages)
         self.skipped.update(source.skipped)
-        images, rows = source[self._slice], Rows("images", why_left_out)
+        images, rows = source[self._slice], Rows("images", why_skipped)
         undistort = self._options is None or self._options.undistort
         for i, file in rows.each(enumerate(images.files)):
             image = rows.use(decoded_file, file)

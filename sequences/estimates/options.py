@@ -26,7 +26,7 @@ class EstimateOptions:
     tz _ _ weight": time in place of name for stamps in seconds, _ for what is ignored. With a weight, such as the
     number of inliers, a frame may have several lines, which are its hypotheses. Default: as above."""
     odometry_columns: str | None = None
-    """Names of the columns of odometry, or of the true poses that it is simulated from, whatever --columns says.
+    """Names of the columns of odometry, or of the true poses that it is simulated from, independent of --columns.
     Default: names, TUM text, or EuRoC's data.csv."""
     ground_truth_columns: str | None = None
     """Names of the columns of the true poses to compare with, likewise."""

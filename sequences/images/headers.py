@@ -24,7 +24,7 @@ class DamagedImageError(SequenceError):
     """An image that lacks a part of itself, though it may decode."""
 
 
-def why_left_out(error: SequenceError) -> str:
+def why_skipped(error: SequenceError) -> str:
     """The reason by which an image that could not be decoded is counted."""
     return "damaged image" if isinstance(error, DamagedImageError) else "undecodable image"
 

@@ -35,7 +35,7 @@ _ASK_AGAIN_S = 0.2
 _REPORT_AGAIN_S = 5.0
 
 
-class Heard:
+class TopicBuffer:
     """A `MessageSource` that grows: a topic is subscribed when it is first asked for.
 
     `topics` are published now, without Foxglove's transforms, which ROS's stand for.
@@ -138,7 +138,7 @@ class LiveReader:
         readings: Number of readings so far.
     """
 
-    def __init__(self, heard: Heard, options: ReadingOptions) -> None:
+    def __init__(self, heard: TopicBuffer, options: ReadingOptions) -> None:
         """Find topics, intrinsics and extrinsics in the messages so far.
 
         Raises:
@@ -181,13 +181,13 @@ class LiveReader:
     @property
     def counts(self) -> ImageCounts:
         """Counts of all images so far."""
-        now = self._past_counts + self._pairing.left_out.counts
+        now = self._past_counts + self._pairing.skipped.counts
         return ImageCounts(now.read, now.read, now.used, now.skipped)
 
     @property
     def problems(self) -> dict[str, str]:
         """Time and problem of the first thing that this reading left out for each reason, to end a sentence."""
-        return self._pairing.left_out.problems
+        return self._pairing.skipped.problems
 
     @property
     def apart(self) -> str | None:
@@ -195,9 +195,9 @@ class LiveReader:
         return self._pairing.odometry_apart()
 
     @property
-    def messages_left_out(self) -> Counter[str]:
+    def skipped_messages(self) -> Counter[str]:
         """How many messages other than images were left out so far, by reason."""
-        return self._past_messages + self._pairing.left_out.messages
+        return self._past_messages + self._pairing.skipped.messages
 
     def take(self, raw: RawMessage) -> bool:
         """Take a message; a damaged one is counted. Returns whether it brought later odometry."""
@@ -239,7 +239,7 @@ class LiveReader:
         return True
 
     def _end(self) -> None:
-        self._past_counts, self._past_messages = self.counts, self.messages_left_out
+        self._past_counts, self._past_messages = self.counts, self.skipped_messages
         self._past_counts.skipped["clock was set"] += self._pairing.num_waiting
         self._pairing = self._begin()
 
@@ -250,7 +250,7 @@ class LiveReader:
             self._pairing.take(raw, message)
             self._pairing.drop_overtaken()
         except SequenceError as error:  # for which a recording would be refused
-            self._pairing.left_out.message(f"unusable message on {raw.topic}", raw.log_time_ns, str(error))
+            self._pairing.skipped.message(f"unusable message on {raw.topic}", raw.log_time_ns, str(error))
 
     def _stamp(self, raw: RawMessage, message: SimpleNamespace) -> int | None:
         """The stamp by which the clock of a stream is watched; None where a message has none that counts."""
@@ -310,7 +310,7 @@ def open_live(
     Raises:
         SequenceError: something cannot be used, or there is a choice to make.
     """
-    heard = Heard(transport, events, options=options)
+    heard = TopicBuffer(transport, events, options=options)
     changed_s, reported_s = time.monotonic(), -math.inf
     while True:
         if heard.refresh():

@@ -9,12 +9,12 @@ from scipy.linalg import cho_factor, cho_solve, get_lapack_funcs
 from scipy.optimize import minimize
 from threadpoolctl import threadpool_limits
 
-from filtering.motion import SlowErrors
+from filtering.motion import OdometryBias
 from sequences.odometry_fit.pieces import OdometrySegment, Piece, cut_into_pieces, error_limits
 from sequences.odometry_fit.result import OdometryFit, six
 
 _TIME_S = 30.0  # of the drift, where the data do not determine it
-_SCALE = SlowErrors.scale
+_SCALE = OdometryBias.scale
 _DRIFT_SPREAD, _TIME_SPREAD = np.log(5.0), np.log(3.0)  # of the priors, in logarithms
 _LEAST_CURVATURE = 0.02  # of the posterior, in the logarithm of a variance
 _RANGE = (-14.0, 7.0)  # of logarithms of variances, about where the search begins

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from filtering.motion import Odometry, SlowErrors, accumulated
+from filtering.motion import Odometry, OdometryBias, accumulated
 from sequences.errors import SequenceError
 
 Six = tuple[float, float, float, float, float, float]
@@ -56,9 +56,9 @@ class OdometryFit:
     clipped: int
 
     @property
-    def slow_errors(self) -> SlowErrors:
-        """The slow errors, as the filter takes them."""
-        return SlowErrors(scale=self.scale_std, drift=self.drift, time_s=self.time_s)
+    def odometry_bias(self) -> OdometryBias:
+        """The odometry bias, as the filter takes them."""
+        return OdometryBias(scale=self.scale_std, drift=self.drift, time_s=self.time_s)
 
     def along(
         self, tangent: Float64[np.ndarray, "*batch 6"], duration_s: Float64[np.ndarray, "*batch"]

@@ -115,7 +115,7 @@ class Unusable:
             raise SequenceError(f"{path}: {self.topic}: {self._summary}; expected at most one in two")
 
 
-class LeftOut:
+class SkipCounter:
     """Images and other messages that one reading leaves out, by reason.
 
     `problems` has time and problem of the first of each reason, to end a sentence with.

@@ -128,7 +128,7 @@ class Extrinsics:
     path: tuple[Step, ...] = ()
 
     @property
-    def told_on(self) -> tuple[str, ...]:
+    def source_topics(self) -> tuple[str, ...]:
         """Topics that would show that the camera moves on its body."""
         return (TF_STATIC, *([TF] if any(not step.static for step in self.path) else [])) if self.path else ()
 
@@ -178,7 +178,7 @@ def find_extrinsics(
 
 
 @dataclass(frozen=True)
-class Rig:
+class CameraMount:
     """The camera's frame in tf, and the body that its odometry is of; '' for unknown names.
 
     `base_from_camera` is the camera's pose on the body where an option gives it. The odometry's topic is never taken

@@ -13,10 +13,10 @@ from types import SimpleNamespace
 from filtering.motion import Odometry
 from sequences.errors import SequenceError
 from sequences.frame import Frame
-from sequences.images.headers import why_left_out
+from sequences.images.headers import why_skipped
 from sequences.images.video import Picture
 from sequences.reading.camera_info import ImageCamera
-from sequences.reading.counts import NOT_COME, ODD, OUTSIDE, OVERTAKEN, LeftOut, uncovered
+from sequences.reading.counts import NOT_COME, ODD, OUTSIDE, OVERTAKEN, SkipCounter, uncovered
 from sequences.reading.motion import MotionOfCamera, odometry_apart
 from sequences.reading.roles import Roles
 from sequences.reading.timeline import Dated, Key, Timeline
@@ -81,12 +81,12 @@ class FramePairing:
             over_gaps: Whether odometry leads over times without messages.
         """
         self._most_waiting, self._lateness_ns = most_waiting, lateness_ns
-        self.left_out = LeftOut(num_images)
+        self.skipped = SkipCounter(num_images)
         self.segment = RequestedSegment(begin_ns, roles.options.start_s, roles.options.duration_s)
-        self.motion = MotionOfCamera(roles, self.left_out, over_gaps=over_gaps)
+        self.motion = MotionOfCamera(roles, self.skipped, over_gaps=over_gaps)
         self.reaches: Callable[[int], bool] = self.motion.reaches
         self._roles, self._camera = roles, camera
-        self._counts = self.left_out.counts
+        self._counts = self.skipped.counts
         self._images = roles.open_images()
         # A heap: order, number of images before, stamp, and message, None for a lost one.
         self._waiting: list[tuple[int, int, int, SimpleNamespace | None]] = []
@@ -106,7 +106,7 @@ class FramePairing:
                 try:
                     self._camera.take(message)
                 except SequenceError as error:
-                    self.left_out.message("unusable intrinsics", raw.log_time_ns, str(error))
+                    self.skipped.message("unusable intrinsics", raw.log_time_ns, str(error))
             before_images = self.previous_ns is None and not self._waiting
             self.motion.take(raw, message, before_images=before_images)
 
@@ -124,10 +124,10 @@ class FramePairing:
             self._leave_out_image(ODD, raw.log_time_ns)
             return
         for _ in range(number):
-            self.left_out.message(f"{ODD} on {raw.topic}", raw.log_time_ns)
+            self.skipped.message(f"{ODD} on {raw.topic}", raw.log_time_ns)
 
     def _leave_out_image(self, reason: str, time_ns: int) -> None:
-        self.left_out.image(reason, time_ns)
+        self.skipped.image(reason, time_ns)
         if self._images.remembers:  # those after it build on it
             self._wait(self._latest_ns, None)
 
@@ -211,16 +211,16 @@ class FramePairing:
         """The frame of an image; None, and a count of why, where it is skipped."""
         time_ns, previous_ns = picture.time_ns, self.previous_ns
         if picture.skipped:
-            return self.left_out.image(picture.skipped, time_ns)
+            return self.skipped.image(picture.skipped, time_ns)
         if previous_ns is not None and time_ns <= previous_ns:
-            return self.left_out.image("time stamp not increasing", time_ns)
+            return self.skipped.image("time stamp not increasing", time_ns)
         covered = self.motion.covers(time_ns)
         if self._roles.odometry_required and not covered:
-            return self.left_out.image(uncovered(time_ns, self.motion.odometry_span_ns), time_ns)
+            return self.skipped.image(uncovered(time_ns, self.motion.odometry_span_ns), time_ns)
         try:
             image = picture.decode()
         except SequenceError as error:
-            return self.left_out.image(why_left_out(error), time_ns, str(error))
+            return self.skipped.image(why_skipped(error), time_ns, str(error))
         odometry = self._odometry_until(time_ns) if covered else None
         truth = self.motion.true_pose(time_ns)
         self.motion.forget_before(time_ns)

@@ -9,7 +9,7 @@ import numpy as np
 from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
-from sequences.reading.counts import LeftOut, Unusable
+from sequences.reading.counts import SkipCounter, Unusable
 from sequences.reading.extrinsics import Extrinsics
 from sequences.reading.pose_sources import PoseSource
 from sequences.reading.roles import Roles
@@ -26,19 +26,21 @@ class MotionOfCamera:
     `across_jumps` counts frames without a true pose because it jumps about them; `unusable` messages are by kind.
     """
 
-    def __init__(self, roles: Roles, left_out: LeftOut, *, over_gaps: bool) -> None:
+    def __init__(self, roles: Roles, skipped: SkipCounter, *, over_gaps: bool) -> None:
         """Set up a reading that took no message yet; arguments as of `FramePairing`."""
         self._over_gaps = over_gaps
         self.across_jumps = 0
-        self._roles, self._left_out = roles, left_out
+        self._roles, self._skipped = roles, skipped
         self.unusable: dict[str, Unusable] = {}
         self._motion_noise = roles.options.motion_noise
         self._base_from_camera = roles.extrinsics.body_from_camera if roles.extrinsics is not None else None
-        self._told_on: dict[str, list[Extrinsics]] = {}  # fixed mounts, by the topics that would show that they move
+        self.source_topics: dict[
+            str, list[Extrinsics]
+        ] = {}  # fixed mounts, by the topics that would show that they move
         mounts = (roles.extrinsics, roles.truth.extrinsics if roles.truth is not None else None)
         for mount in (each for each in mounts if each is not None):
-            for topic in mount.told_on:
-                self._told_on.setdefault(topic, []).append(mount)
+            for topic in mount.source_topics:
+                self.source_topics.setdefault(topic, []).append(mount)
         self._moves_from_ns: int | None = None  # where the camera began to move on the base
         self._odometry_source = roles.open_odometry()
         self._odometry = PoseWindow(MAX_ODOMETRY_GAP_S)  # of a tree, at the times of images
@@ -64,7 +66,7 @@ class MotionOfCamera:
             self._check_extrinsics(raw, message)
         elif not sources:
             problem = self._roles.why_undecodable(raw)
-            self._left_out.message(f"unusable message on {raw.topic}", raw.log_time_ns, problem)
+            self._skipped.message(f"unusable message on {raw.topic}", raw.log_time_ns, problem)
         for source, what in sources:
             self._take_poses(raw, message, source, what, before_images)
 
@@ -74,12 +76,12 @@ class MotionOfCamera:
         unusable.total += 1
         if problem is not None:
             unusable.note(raw.log_time_ns, problem)
-            self._left_out.message(f"unusable {what}", raw.log_time_ns, problem)
+            self._skipped.message(f"unusable {what}", raw.log_time_ns, problem)
 
     def _check_extrinsics(self, raw: RawMessage, message: SimpleNamespace) -> None:
         """Take a message of tf: a camera that moves on its base has no odometry, where it can do without."""
         roles = self._roles
-        for extrinsics in self._told_on.get(raw.topic, ()):
+        for extrinsics in self.source_topics.get(raw.topic, ()):
             try:
                 extrinsics.require_fixed(raw, message)
             except SequenceError as error:
@@ -87,7 +89,7 @@ class MotionOfCamera:
                     raise SequenceError(f"{roles.path}: {error}") from error
                 if self._moves_from_ns is None:
                     reason = "odometry from where the camera moved on its base"
-                    self._left_out.message(reason, raw.log_time_ns, str(error))
+                    self._skipped.message(reason, raw.log_time_ns, str(error))
                     self._moves_from_ns = min(stamp_ns(stamped.header) for stamped in message.transforms)
 
     def _take_poses(
@@ -98,7 +100,7 @@ class MotionOfCamera:
             self._count(what, raw, problem)
         for sample in samples:
             if not source.append(sample):
-                self._left_out.message(f"{what}: time stamp not increasing", sample.time_ns)
+                self._skipped.message(f"{what}: time stamp not increasing", sample.time_ns)
             if before_images or not self._over_gaps:  # a running system has no end
                 late_s = MAX_LATENESS_S if before_images else 2 * MAX_LATENESS_S
                 source.forget_before(sample.time_ns - int(late_s * 1e9))

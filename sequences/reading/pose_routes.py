@@ -12,7 +12,7 @@ from sequences.errors import NotFoundError, SequenceError
 from sequences.files import Rows
 from sequences.frame import Trajectory
 from sequences.options import SequenceOptions
-from sequences.reading.extrinsics import BASES, Extrinsics, Rig, TransformTree, along, read_tree
+from sequences.reading.extrinsics import BASES, CameraMount, Extrinsics, TransformTree, along, read_tree
 from sequences.reading.pose_sources import (
     MAX_GAP_S,
     POSE_TYPES,
@@ -52,7 +52,7 @@ class PoseRoute:
     notices: list[str] = field(default_factory=list)
 
 
-def tree_odometry(bag: MessageSource, options: SequenceOptions, rig: Rig) -> tuple[PoseRoute, Rig]:
+def tree_odometry(bag: MessageSource, options: SequenceOptions, mount: CameraMount) -> tuple[PoseRoute, CameraMount]:
     """Odometry of tf: poses of a base, to which the camera is fixed, in a frame such as odom.
 
     Raises:
@@ -60,12 +60,12 @@ def tree_odometry(bag: MessageSource, options: SequenceOptions, rig: Rig) -> tup
     """
     frame = frame_name(options.odometry_frame or "odom")
     within_s = None if options.odometry_frame else _SURVEY_S
-    tree = read_tree(bag, lambda tree: rig.path(tree, frame) is not None, within_s=within_s)
-    path = rig.path(tree, frame)
+    tree = read_tree(bag, lambda tree: mount.path(tree, frame) is not None, within_s=within_s)
+    path = mount.path(tree, frame)
     moving = [i for i, step in enumerate(path or ()) if not step.static]
     if path is None or not moving:
         raise NotFoundError(
-            f"{bag.path}: tf has no {frame!r} in which {rig.camera!r} moves (--odometry-frame), found frames:"
+            f"{bag.path}: tf has no {frame!r} in which {mount.camera!r} moves (--odometry-frame), found frames:"
             f" {', '.join(tree.frames) or 'none'}"
         )
     links, fixed = path[: moving[-1] + 1], path[moving[-1] + 1 :]
@@ -74,13 +74,18 @@ def tree_odometry(bag: MessageSource, options: SequenceOptions, rig: Rig) -> tup
     def source() -> PoseSource:
         return poses_of_tree(links, Poses.identity(), max_gap_s=MAX_ODOMETRY_GAP_S, watch_jumps=False)
 
-    extrinsics = Extrinsics(along(fixed) @ rig.end)
+    extrinsics = Extrinsics(along(fixed) @ mount.end)
     route = PoseRoute(f"tf frame {frame}", TF, source, extrinsics, {"odometry_frame": frame})
-    return route, replace(rig, odometry_frame=frame, base=base if rig.base_from_camera is None else end)
+    return route, replace(mount, odometry_frame=frame, base=base if mount.base_from_camera is None else end)
 
 
 def find_true_poses(
-    bag: MessageSource, options: SequenceOptions, rig: Rig, *, required: bool, odometry: Callable[[], Trajectory]
+    bag: MessageSource,
+    options: SequenceOptions,
+    mount: CameraMount,
+    *,
+    required: bool,
+    odometry: Callable[[], Trajectory],
 ) -> PoseRoute | None:
     """The true poses that options name, else the only candidate; `odometry` reads it to find a time offset by.
 
@@ -89,24 +94,24 @@ def find_true_poses(
             candidate.
     """
     if options.poses is not None:
-        return _route_of_file(bag, options, rig, odometry)
+        return _route_of_file(bag, options, mount, odometry)
     if options.ground_truth_frame is not None:
-        return _route_of_tree(bag, options, rig, frame_name(options.ground_truth_frame))
+        return _route_of_tree(bag, options, mount, frame_name(options.ground_truth_frame))
     if options.ground_truth_topic is not None:
         topic = choose(bag, "ground-truth", POSE_TYPES, options.ground_truth_topic)
-        return None if topic is None else _route_of_topic(bag, options, rig, topic)
+        return None if topic is None else _route_of_topic(bag, options, mount, topic)
     topic = choose(bag, "ground-truth", (_CAMERA_POSES,), None)
     if topic is not None:
-        return _route_of_topic(bag, options, rig, topic)
-    return _only_candidate(bag, options, rig, required=required)
+        return _route_of_topic(bag, options, mount, topic)
+    return _only_candidate(bag, options, mount, required=required)
 
 
-def _route_of_topic(bag: MessageSource, options: SequenceOptions, rig: Rig, topic: Topic) -> PoseRoute:
+def _route_of_topic(bag: MessageSource, options: SequenceOptions, mount: CameraMount, topic: Topic) -> PoseRoute:
     resolved: dict[str, object] = {"ground_truth_topic": topic.name}
     child = frame_name(options.ground_truth_child_frame or "")
     if not child and topic.num_messages:
         child = frames_of_topic(bag, topic)[1]
-    extrinsics = rig.on(bag, child, f" ({topic.name})")
+    extrinsics = mount.on(bag, child, f" ({topic.name})")
     notices = []
     if not child and topic.read_as != _CAMERA_POSES:
         notices.append(
@@ -125,37 +130,37 @@ def _route_of_topic(bag: MessageSource, options: SequenceOptions, rig: Rig, topi
     return PoseRoute(topic.name, topic.name, source, extrinsics, resolved, notices)
 
 
-def _route_of_tree(bag: MessageSource, options: SequenceOptions, rig: Rig, frame: str) -> PoseRoute:
+def _route_of_tree(bag: MessageSource, options: SequenceOptions, mount: CameraMount, frame: str) -> PoseRoute:
     """Poses of the camera in a frame of tf. Raises SequenceError where no transforms lead there, or none moves."""
-    if options.ground_truth_child_frame is not None and rig.base_from_camera is not None:
-        rig = replace(rig, base=frame_name(options.ground_truth_child_frame))
-    tree = read_tree(bag, lambda tree: rig.path(tree, frame) is not None)
-    links = rig.path(tree, frame)
+    if options.ground_truth_child_frame is not None and mount.base_from_camera is not None:
+        mount = replace(mount, base=frame_name(options.ground_truth_child_frame))
+    tree = read_tree(bag, lambda tree: mount.path(tree, frame) is not None)
+    links = mount.path(tree, frame)
     if links is None:
         raise SequenceError(
-            f"{bag.path}: no transforms from {frame!r} (--ground-truth-frame) to the camera's {rig.camera!r} on"
+            f"{bag.path}: no transforms from {frame!r} (--ground-truth-frame) to the camera's {mount.camera!r} on"
             f" /tf_static or /tf, found frames: {', '.join(tree.frames) or 'none'}; expected a chain of transforms"
             " between the two (or name --camera-frame, or give --base-from-camera)"
         )
     if all(step.static for step in links):
         raise SequenceError(
-            f"{bag.path}: {rig.camera!r} never moves in {frame!r} (--ground-truth-frame), expected a transform on /tf"
+            f"{bag.path}: {mount.camera!r} never moves in {frame!r} (--ground-truth-frame), expected a transform on /tf"
             " between the two"
         )
 
     def source() -> PoseSource:
-        return poses_of_tree(links, rig.end, max_gap_s=MAX_GAP_S)
+        return poses_of_tree(links, mount.end, max_gap_s=MAX_GAP_S)
 
-    return PoseRoute(f"tf frame {frame}", TF, source, Extrinsics(rig.end), {"ground_truth_frame": frame})
+    return PoseRoute(f"tf frame {frame}", TF, source, Extrinsics(mount.end), {"ground_truth_frame": frame})
 
 
 def _route_of_file(
-    bag: MessageSource, options: SequenceOptions, rig: Rig, odometry: Callable[[], Trajectory]
+    bag: MessageSource, options: SequenceOptions, mount: CameraMount, odometry: Callable[[], Trajectory]
 ) -> PoseRoute:
     file = Path(options.poses or "")
     rows = Rows("poses")
     trajectory = read_pose_table(file, options.poses_times, rows, options.poses_columns)
-    extrinsics = rig.on(bag, frame_name(options.ground_truth_child_frame or ""), " (--ground-truth-child-frame)")
+    extrinsics = mount.on(bag, frame_name(options.ground_truth_child_frame or ""), " (--ground-truth-child-frame)")
     offset_s, notices = options.time_offset_s, rows.notices
     if offset_s == "auto":
         from sequences.trajectories.time_offset import offset_of_clocks  # loads SciPy's signals, which takes a while
@@ -172,7 +177,9 @@ def _route_of_file(
     return PoseRoute(str(file), "", lambda: table, extrinsics, resolved, notices)
 
 
-def _only_candidate(bag: MessageSource, options: SequenceOptions, rig: Rig, *, required: bool) -> PoseRoute | None:
+def _only_candidate(
+    bag: MessageSource, options: SequenceOptions, mount: CameraMount, *, required: bool
+) -> PoseRoute | None:
     topics, others = [], []
     for topic in bag.topics.values():
         enough = topic.num_messages > (topic.read_as != "nav_msgs/Path")  # one pose is a goal or a start
@@ -181,15 +188,15 @@ def _only_candidate(bag: MessageSource, options: SequenceOptions, rig: Rig, *, r
                 frame, _ = frames_of_topic(bag, topic)
             except SequenceError:  # nothing readable on it
                 continue
-            is_odometry = topic.name == rig.odometry_topic or _is_odometry(frame, rig)
+            is_odometry = topic.name == mount.odometry_topic or _is_odometry(frame, mount)
             (others if is_odometry else topics).append(topic)
     tree = read_tree(bag, within_s=_SURVEY_S) if TF in bag else TransformTree()
-    frames = _frames_that_could(tree, rig)
+    frames = _frames_that_could(tree, mount)
     if len(topics) + bool(frames) == 1:
         try:
             if topics:
-                return _route_of_topic(bag, options, rig, topics[0])
-            return _route_of_tree(bag, options, rig, "map" if "map" in frames else frames[-1])
+                return _route_of_topic(bag, options, mount, topics[0])
+            return _route_of_tree(bag, options, mount, "map" if "map" in frames else frames[-1])
         except SequenceError:
             if required:
                 raise
@@ -206,19 +213,19 @@ def _only_candidate(bag: MessageSource, options: SequenceOptions, rig: Rig, *, r
         )
     raise SequenceError(
         f"{bag.path}: no true poses: expected a topic of type {', '.join(POSE_TYPES)}, a frame of tf in which"
-        f" {rig.camera!r} moves (found frames: {', '.join(tree.frames) or 'none'}), or a file of poses (--poses);"
+        f" {mount.camera!r} moves (found frames: {', '.join(tree.frames) or 'none'}), or a file of poses (--poses);"
         f" {listing(bag.topics.values())}"
     )
 
 
-def _is_odometry(frame: str, rig: Rig) -> bool:
-    return "odom" in frame.rsplit("/", 1)[-1] or (frame != "" and frame == rig.odometry_frame)
+def _is_odometry(frame: str, mount: CameraMount) -> bool:
+    return "odom" in frame.rsplit("/", 1)[-1] or (frame != "" and frame == mount.odometry_frame)
 
 
-def _frames_that_could(tree: TransformTree, rig: Rig) -> list[str]:
+def _frames_that_could(tree: TransformTree, mount: CameraMount) -> list[str]:
     """Frames in which the camera moves, from the lowest: those above a frame of odometry, or the highest."""
-    bodies = [rig.camera] if rig.base_from_camera is None else [rig.base, *BASES]
+    bodies = [mount.camera] if mount.base_from_camera is None else [mount.base, *BASES]
     above = max((tree.ancestors(body) for body in bodies), key=len)
-    odometry = [i for i, frame in enumerate(above) if _is_odometry(frame, rig)]
+    odometry = [i for i, frame in enumerate(above) if _is_odometry(frame, mount)]
     above = above[odometry[-1] + 1 :] if odometry else above[-1:]
-    return [frame for frame in above if any(not step.static for step in rig.path(tree, frame) or ())]
+    return [frame for frame in above if any(not step.static for step in mount.path(tree, frame) or ())]

@@ -15,7 +15,7 @@ from sequences.frame import Trajectory
 from sequences.images.decoding import decode_compressed_image, decode_image
 from sequences.images.video import ImageStream, Video
 from sequences.options import OdometryUse, SequenceOptions, TruePoseUse, pose_of_numbers
-from sequences.reading.extrinsics import Extrinsics, Rig, find_extrinsics
+from sequences.reading.extrinsics import CameraMount, Extrinsics, find_extrinsics
 from sequences.reading.pose_routes import PoseRoute, find_true_poses, tree_odometry
 from sequences.reading.pose_sources import PoseSource, odometry_of_topic
 from sequences.reading.timeline import Key, Timeline
@@ -49,16 +49,16 @@ class Roles:
         self.tree_odometry: PoseRoute | None = None
         self.extrinsics: Extrinsics | None = None
         given = options.base_from_camera
-        rig = Rig(self._camera_frame(), base_from_camera=None if given is None else pose_of_numbers(given))
+        mount = CameraMount(self._camera_frame(), base_from_camera=None if given is None else pose_of_numbers(given))
         if odometry != "unread":
             try:
-                rig = self._find_odometry(rig)
+                mount = self._find_odometry(mount)
             except SequenceError:
                 if self.odometry_required:
                     raise
                 self.odometry = self.tree_odometry = self.extrinsics = None
         needed = self.truth_required and options.ground_truth_topic != ""  # an empty name asks for none
-        self.truth = find_true_poses(bag, options, rig, required=needed, odometry=self._odometry_track)
+        self.truth = find_true_poses(bag, options, mount, required=needed, odometry=self._odometry_track)
         info_name = options.camera_info_topic
         if info_name is None:
             # By the habit of ROS and of Foxglove, the intrinsics lie beside the image topic.
@@ -89,11 +89,11 @@ class Roles:
         except SequenceError:  # reported when the images are read
             return ""
 
-    def _find_odometry(self, rig: Rig) -> Rig:
-        """Find odometry, of a topic or else of tf, and extrinsics; returns the rig with both."""
+    def _find_odometry(self, mount: CameraMount) -> CameraMount:
+        """Find odometry, of a topic or else of tf, and extrinsics; returns the mount with both."""
         bag, options = self._bag, self.options
         if options.odometry_frame is not None:
-            return self._take_tree(rig)
+            return self._take_tree(mount)
         try:
             topic = choose(
                 bag,
@@ -107,26 +107,26 @@ class Roles:
             if options.odometry_topic is not None:
                 raise
             try:
-                return self._take_tree(rig)
+                return self._take_tree(mount)
             except NotFoundError as without:
                 raise NotFoundError(f"{error}; {str(without).removeprefix(f'{bag.path}: ')}") from error
         assert topic is not None
         self.odometry = topic
         message = first(bag, topic)
         base, self.odometry_frame = frame_name(message.child_frame_id), frame_name(message.header.frame_id)
-        rig = replace(rig, base=base, odometry_topic=topic.name, odometry_frame=self.odometry_frame)
-        if rig.base_from_camera is not None:
-            self.extrinsics = Extrinsics(rig.base_from_camera)
+        mount = replace(mount, base=base, odometry_topic=topic.name, odometry_frame=self.odometry_frame)
+        if mount.base_from_camera is not None:
+            self.extrinsics = Extrinsics(mount.base_from_camera)
         else:
             self.extrinsics = find_extrinsics(
-                bag, base, rig.camera, body_is=f" ({topic.name}, child frame)", camera_is=f" ({self.image.name})"
+                bag, base, mount.camera, body_is=f" ({topic.name}, child frame)", camera_is=f" ({self.image.name})"
             )
-        return rig
+        return mount
 
-    def _take_tree(self, rig: Rig) -> Rig:
-        self.tree_odometry, rig = tree_odometry(self._bag, self.options, rig)
-        self.extrinsics, self.odometry_frame = self.tree_odometry.extrinsics, rig.odometry_frame
-        return rig
+    def _take_tree(self, mount: CameraMount) -> CameraMount:
+        self.tree_odometry, mount = tree_odometry(self._bag, self.options, mount)
+        self.extrinsics, self.odometry_frame = self.tree_odometry.extrinsics, mount.odometry_frame
+        return mount
 
     def _odometry_track(self) -> Trajectory:
         """The first half hour of odometry, at most 50 poses a second, by one steady clock, to find a time offset by.

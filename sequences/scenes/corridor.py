@@ -280,5 +280,5 @@ SCENE = Scene(
     field_of_view_deg=70.0,
     base_from_camera=HELMET,
     has_cues=True,
-    floor_height_m=FLOOR_HEIGHT,
+    storey_height_m=FLOOR_HEIGHT,
 )

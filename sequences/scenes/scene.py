@@ -33,7 +33,7 @@ class Scene:
         has_cues: Whether anything in it is unique, so that a camera can find its place.
         rate_hz: Default number of images a second.
         noise: Default noise of odometry.
-        floor_height_m: From floor to floor along z where all floors look alike from end to end; None elsewhere.
+        storey_height_m: From floor to floor along z where all floors look alike from end to end; None elsewhere.
         changes: Whether its parts or its light differ from walk to walk.
         paint_seed: Of stains, grain and light samples.
         sampling: Of light; None for the defaults.
@@ -48,7 +48,7 @@ class Scene:
     has_cues: bool
     rate_hz: float = 10.0
     noise: OdometryNoise = field(default_factory=OdometryNoise)
-    floor_height_m: float | None = None
+    storey_height_m: float | None = None
     changes: bool = False
     paint_seed: int = 0
     sampling: Sampling | None = None

@@ -16,8 +16,8 @@ from filtering.se3 import Poses
 from tests.helpers.modelled_walk import (
     AHEAD,
     APART,
+    BIAS,
     ERRORS,
-    SLOW,
     observed,
     scale_along,
     shifted,
@@ -141,14 +141,18 @@ def test_a_scatter_of_outliers_among_errors_that_follow_the_model_does_not_raise
     assert scale_along(replace(path, posteriors=scattered)).factor < 1.25
 
 
-@pytest.mark.parametrize("tail", [3.0, 6.0, 1e6])
-def test_heavy_tails_that_are_modelled_are_neither_larger_nor_smaller_errors(tail):
-    errors = replace(ERRORS, tail=tail, lasting_fraction=0.0)
+@pytest.mark.parametrize("degrees_of_freedom", [3.0, 6.0, 1e6])
+def test_heavy_tails_that_are_modelled_are_neither_larger_nor_smaller_errors(degrees_of_freedom):
+    errors = replace(ERRORS, degrees_of_freedom=degrees_of_freedom, correlated_fraction=0.0)
     rng, scale, pose, factors = np.random.default_rng(2), ErrorScale(), THERE, []
     exact = motion(0.5, 0, 0, 0, 0, 0, std=np.zeros(6))
     for _ in range(400):
         pose = pose @ exact.previous_from_current
-        error = np.array([0.1] * 3 + [0.05] * 3) * rng.standard_normal(6) / np.sqrt(rng.chisquare(tail) / tail)
+        error = (
+            np.array([0.1] * 3 + [0.05] * 3)
+            * rng.standard_normal(6)
+            / np.sqrt(rng.chisquare(degrees_of_freedom) / degrees_of_freedom)
+        )
         scale = observed(scale.predict(exact, APART), seen_at(pose @ Poses.exp(error), errors=errors))
         factors.append(scale.factor)
     assert 0.8 < np.mean(factors) < 1.2
@@ -164,7 +168,7 @@ def test_of_several_places_the_one_nearest_to_what_odometry_expects_is_compared(
     assert scale.factor < 1.0
 
 
-def test_places_a_floor_apart_tell_of_the_errors_as_one_place_does():
+def test_places_a_storey_apart_tell_of_the_errors_as_one_place_does():
     alone = understated(simulated(2), 4.0)
     copies = [
         replace(
@@ -198,7 +202,7 @@ def familiar_to(power_of_growth, *, errors=ERRORS):
     return replace(seen_at(THERE, errors=errors), growth=power_of_growth)
 
 
-# --- how unfamiliar the images lately are ---------------------------------------------------------
+# --- scores of recent images ---------------------------------------------------------
 
 
 @pytest.mark.parametrize("per_length", [1, 10])
@@ -245,12 +249,12 @@ def test_an_inflated_model_errs_by_so_much_more_variance_and_as_long():
         inflated.constant_covariance(np.zeros((6, 6))), 4.0 * errors.constant_covariance(np.zeros((6, 6)))
     )
     np.testing.assert_allclose(inflated.typical_std, 2.0 * np.array(errors.typical_std))
-    same = {"spread": errors.spread, "floor": errors.floor, "typical_std": errors.typical_std}
+    same = {"spread": errors.spread, "noise_floor": errors.noise_floor, "typical_std": errors.typical_std}
     assert replace(inflated, **same) == errors
 
 
 def test_an_inflated_posterior_has_the_same_places_of_larger_errors():
-    posterior = seen_at(lifted(Poses.identity(), (0.0, 3.0)), (0.3, 0.7), unfamiliarity=0.4)
+    posterior = seen_at(lifted(Poses.identity(), (0.0, 3.0)), (0.3, 0.7), ood_score=0.4)
     inflated = posterior.inflated(4.0)
     np.testing.assert_allclose(inflated.covariances, 4.0 * posterior.covariances)
     np.testing.assert_allclose(inflated.factors, 2.0 * posterior.factors)
@@ -258,7 +262,7 @@ def test_an_inflated_posterior_has_the_same_places_of_larger_errors():
     assert inflated.means is posterior.means
     assert inflated.samples is posterior.samples
     assert (inflated.weights == posterior.weights).all()
-    assert inflated.unfamiliarity == 0.4
+    assert inflated.ood_score == 0.4
     assert posterior.inflated(1.0) is posterior
 
 
@@ -266,7 +270,7 @@ pytestmark = pytest.mark.usefixtures("unchecked")
 
 UP = np.array([0.0, 0.0, 9.0])
 
-NEVER_CARRIED_OFF = LocalizerConfig(kidnap_per_view=0.0, max_kidnap_per_view=0.0, slow_errors=SLOW)
+NEVER_CARRIED_OFF = LocalizerConfig(birth_rate=0.0, max_birth_rate=0.0, odometry_bias=BIAS)
 
 
 def filtered(path):
@@ -278,7 +282,7 @@ def filtered(path):
 
 
 def followed(path):
-    kalman = KalmanLocalizer(KalmanConfig(slow_errors=SLOW))
+    kalman = KalmanLocalizer(KalmanConfig(odometry_bias=BIAS))
     return [
         kalman.update(posterior, odometry) for posterior, odometry in zip(path.posteriors, path.odometry, strict=True)
     ]
@@ -333,7 +337,7 @@ def test_a_gap_forgets_the_place_compared_with_and_keeps_what_was_found():
     localizer = ParticleLocalizer(None, replace(NEVER_CARRIED_OFF, gap=gap), rng=np.random.default_rng(0))
     for posterior, odometry in zip(path.posteriors, path.odometry, strict=True):
         estimate = localizer.update(posterior, odometry)
-    nothing = PosePosterior.nothing(path.posteriors[0].errors)
+    nothing = PosePosterior.uninformative(path.posteriors[0].errors)
     after = localizer.update(nothing, None, elapsed_s=0.0)
     np.testing.assert_allclose(after.covariances, estimate.covariances, rtol=1e-9)
     scale = scale_along(path)
@@ -345,11 +349,14 @@ def test_a_gap_forgets_the_place_compared_with_and_keeps_what_was_found():
 def test_images_that_say_nothing_are_not_compared():
     path = understated(simulated(0), 4.0)
     every_third = [
-        posterior if i % 3 == 0 else replace(shifted(posterior, UP), unfamiliarity=2.0)
+        posterior if i % 3 == 0 else replace(shifted(posterior, UP), ood_score=2.0)
         for i, posterior in enumerate(path.posteriors)
     ]
     widths = []
-    for posteriors in (every_third, [p if i % 3 == 0 else PosePosterior.nothing() for i, p in enumerate(every_third)]):
+    for posteriors in (
+        every_third,
+        [p if i % 3 == 0 else PosePosterior.uninformative() for i, p in enumerate(every_third)],
+    ):
         widths.append(filtered(replace(path, posteriors=posteriors))[-1].covariance)
     np.testing.assert_allclose(widths[0], widths[1])
 

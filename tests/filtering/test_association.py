@@ -5,12 +5,12 @@ import pytest
 from scipy.stats import multivariate_t
 
 from filtering.hypotheses import birth, concatenate, log_sum, with_source
-from filtering.motion import SlowErrors
+from filtering.motion import OdometryBias
 from filtering.se3 import Poses
 from tests.helpers.simulation import ERRORS, STD, associate, lifted, seen_at
 
-NEVER = SlowErrors(scale=0.0, relative_drift=0.0)
-GAUSSIAN = replace(ERRORS, tail=1e6, outlier_probability=1e-6, flat_log_density=-100.0)
+NEVER = OdometryBias(scale=0.0, relative_drift=0.0)
+GAUSSIAN = replace(ERRORS, degrees_of_freedom=1e6, outlier_probability=1e-6, log_clutter_density=-100.0)
 
 
 def believed(heights_m, shares, *, std=STD, errors=ERRORS):
@@ -37,7 +37,7 @@ def test_one_place_and_one_hypothesis_are_a_kalman_update_whose_noise_lasts_in_p
     belief = replace(belief, covariance=covariance)
     result = associate(belief, at(0.12, errors=GAUSSIAN), 0, novelty=0.7, distance=2.0)
     assert len(result.hypotheses) == 1
-    share = GAUSSIAN.lasting_fraction
+    share = GAUSSIAN.correlated_fraction
     h = np.hstack([np.eye(6), np.zeros((6, 7)), np.sqrt(share) * np.diag(STD)])
     innovation = h @ covariance[0] @ h.T + (1 - share) * np.diag(STD**2)
     gain = covariance[0] @ h.T @ np.linalg.inv(innovation)
@@ -95,14 +95,14 @@ def test_an_image_with_two_places_near_one_wide_hypothesis_makes_two_of_it_by_th
     assert up + down > 0.8 * after.weights.sum()
 
 
-def test_a_share_of_each_hypothesis_goes_on_as_it_was_by_how_likely_the_image_says_nothing():
-    errors = replace(ERRORS, outlier_probability=0.2, flat_log_density=9.0)
+def test_a_share_of_each_hypothesis_goes_on_as_it_was_by_how_likely_the_image_is_uninformative():
+    errors = replace(ERRORS, outlier_probability=0.2, log_clutter_density=9.0)
     belief = believed([0.0], [1.0], errors=errors)
     after = associate(belief, at(0.0, errors=errors), 0, novelty=0.0, distance=2.0).hypotheses
     assert len(after) == 2
     same = int(np.argmin(np.abs(after.covariance - belief.covariance[0]).sum(axis=(1, 2))))
     np.testing.assert_array_equal(after.covariance[same], belief.covariance[0])
-    density = multivariate_t(shape=2 * np.diag(STD**2), df=errors.tail).pdf(np.zeros(6))
+    density = multivariate_t(shape=2 * np.diag(STD**2), df=errors.degrees_of_freedom).pdf(np.zeros(6))
     unseen = 0.2 * np.exp(9.0)
     assert after.weights[same] == pytest.approx(unseen / (unseen + 0.8 * density), rel=1e-6)
     assert 0.1 < after.weights[same] < 0.9
@@ -117,7 +117,7 @@ def test_places_too_far_to_be_seen_leave_the_belief_as_it_was():
 
 
 def test_a_place_far_off_for_its_error_pulls_less_than_a_gaussian_would_and_convinces_less():
-    heavy = replace(ERRORS, tail=4.0, outlier_probability=1e-9)
+    heavy = replace(ERRORS, degrees_of_freedom=4.0, outlier_probability=1e-9)
     belief = believed([0.0], [1.0], errors=heavy)
     pulls, stds = [], []
     for x in (0.05, 0.7):
@@ -135,13 +135,13 @@ def test_a_place_far_off_for_its_error_pulls_less_than_a_gaussian_would_and_conv
 
 
 def test_a_second_image_of_the_same_view_errs_as_the_first_did():
-    """Only the fresh share is averaged: of a hundred equal images the pose learns the lasting share's worth."""
+    """Only the fresh share is averaged: of a hundred equal images the pose learns the correlated share's worth."""
     belief = birth(seen_at(Poses.identity(1), errors=GAUSSIAN), 0, 1, NEVER, None)
     for _ in range(100):
         belief = associate(belief, at(0.0, errors=GAUSSIAN), 0, novelty=0.0, distance=2.0).hypotheses
     share = np.diag(belief.covariance[0])[:6] / STD**2
-    assert (share > GAUSSIAN.lasting_fraction).all()
-    assert (share < GAUSSIAN.lasting_fraction + 0.01).all()
+    assert (share > GAUSSIAN.correlated_fraction).all()
+    assert (share < GAUSSIAN.correlated_fraction + 0.01).all()
 
 
 def test_another_cameras_image_of_the_same_view_has_errors_of_its_own():

@@ -8,12 +8,12 @@ import pytest
 from filtering.cameras import View
 from filtering.config import GapConfig, LocalizerConfig
 from filtering.density import KernelDensity
-from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError
 from filtering.estimate import ModeConfig
 from filtering.kalman import KalmanConfig
 from filtering.localizer import ParticleLocalizer
-from filtering.motion import Odometry, SlowErrors, require_odometry
+from filtering.measurement_noise import MeasurementNoise
+from filtering.motion import Odometry, OdometryBias, require_odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from filtering.smoothing import SmoothingConfig
@@ -22,11 +22,11 @@ from tests.helpers.simulation import ERRORS, ODOMETRY_STD, STD, Oracle, climb, i
 GOOD = np.diag(ODOMETRY_STD**2)
 
 
-def walking(num_frames, seed=0, num_before=3, floors=(0,)):
+def walking(num_frames, seed=0, num_before=3, storeys=(0,)):
     """A localizer that has taken the first steps of a walk, and the walk."""
     rng = np.random.default_rng(seed)
     truth, odometry = climb(num_frames, rng=rng)
-    localizer = ParticleLocalizer(Oracle(truth, floors, range(0)), rng=rng)
+    localizer = ParticleLocalizer(Oracle(truth, storeys, range(0)), rng=rng)
     for i in range(num_before):
         localizer.step(image_of(i), odometry[i])
     return localizer, truth, odometry
@@ -81,8 +81,8 @@ BAD_ODOMETRY = [
 def test_odometry_that_is_none_is_refused_with_its_value_and_the_localizer_stays_as_it_was(
     odometry, message, ambiguous
 ):
-    floors = (0, 1, 2) if ambiguous else (0,)
-    (localizer, _, walked), (untouched, _, _) = walking(5, floors=floors), walking(5, floors=floors)
+    storeys = (0, 1, 2) if ambiguous else (0,)
+    (localizer, _, walked), (untouched, _, _) = walking(5, storeys=storeys), walking(5, storeys=storeys)
     with pytest.raises(VaporTrackError, match=message):
         localizer.step(image_of(3), odometry)
     with pytest.raises(VaporTrackError, match=message):
@@ -192,7 +192,7 @@ def test_ten_minutes_without_images_widen_the_belief_and_the_next_image_is_follo
 @pytest.mark.usefixtures("unchecked")
 def test_ten_minutes_without_odometry_leave_all_directions_open_and_images_find_the_camera_again():
     localizer, _, odometry = walking(60)
-    gone = localizer.update(PosePosterior.nothing(), None, elapsed_s=600.0)
+    gone = localizer.update(PosePosterior.uninformative(), None, elapsed_s=600.0)
     assert_sound(gone)
     assert gone.modes[0].widest_std_m > 500.0
     assert gone.status != "converged"
@@ -318,7 +318,7 @@ def test_samples_and_weights_that_are_not_finite_make_no_density():
             KernelDensity(Poses.identity(2), 0.1, 0.1, np.array([bad, 0.0]))
 
 
-def test_a_view_from_another_rig_is_judged_by_its_own_error_model():
+def test_a_view_from_another_rig_is_judged_by_its_own_measurement_noise():
     localizer = ParticleLocalizer(None, rng=np.random.default_rng(0))
     coarse = ERRORS.scaled(10.0)
     localizer.update(seen_at(Poses.identity(1), errors=coarse), None)
@@ -339,7 +339,7 @@ def test_an_unknown_name_in_the_settings_is_refused_with_those_there_are(name):
     ("kind", "name", "value"),
     [
         (LocalizerConfig, "max_hypotheses", 0),
-        (LocalizerConfig, "kidnap_per_view", -1.0),
+        (LocalizerConfig, "birth_rate", -1.0),
         (LocalizerConfig, "merge_divergence", np.nan),
         (LocalizerConfig, "least_weight", 0.5),
         (LocalizerConfig, "converged_std_m", np.inf),
@@ -353,29 +353,29 @@ def test_an_unknown_name_in_the_settings_is_refused_with_those_there_are(name):
         (KalmanConfig, "rejected_s", np.nan),
         (SmoothingConfig, "rounds", 0),
         (SmoothingConfig, "cover_s", -1.0),
-        (SlowErrors, "scale", -0.1),
-        (SlowErrors, "relative_drift", np.nan),
-        (SlowErrors, "time_s", 0.0),
+        (OdometryBias, "scale", -0.1),
+        (OdometryBias, "relative_drift", np.nan),
+        (OdometryBias, "time_s", 0.0),
         (ModeConfig, "radius", 0.0),
         (ModeConfig, "least_rad", -1.0),
         (ModeConfig, "most_rad", 0.1),
         (ModeConfig, "max_modes", 0),
         (ModeConfig, "min_weight", np.nan),
-        (ErrorModel, "radius_m", 0.0),
-        (ErrorModel, "radius_rad", 5.0),
-        (ErrorModel, "spread", -1.0),
-        (ErrorModel, "tail", 0.5),
-        (ErrorModel, "outlier_probability", 0.0),
-        (ErrorModel, "outlier_probability", 1.0),
-        (ErrorModel, "flat_log_density", np.inf),
-        (ErrorModel, "possible_fraction", 0.0),
-        (ErrorModel, "lasting_fraction", 1.0),
-        (ErrorModel, "length_m", np.nan),
-        (ErrorModel, "length_rad", -0.1),
-        (ErrorModel, "constant_fraction", -0.1),
-        (ErrorModel, "unfamiliar_power", -0.5),
-        (ErrorModel, "unfamiliar_power", 11.0),
-        (ErrorModel, "unfamiliar_score", 0.0),
+        (MeasurementNoise, "radius_m", 0.0),
+        (MeasurementNoise, "radius_rad", 5.0),
+        (MeasurementNoise, "spread", -1.0),
+        (MeasurementNoise, "degrees_of_freedom", 0.5),
+        (MeasurementNoise, "outlier_probability", 0.0),
+        (MeasurementNoise, "outlier_probability", 1.0),
+        (MeasurementNoise, "log_clutter_density", np.inf),
+        (MeasurementNoise, "possible_fraction", 0.0),
+        (MeasurementNoise, "correlated_fraction", 1.0),
+        (MeasurementNoise, "length_m", np.nan),
+        (MeasurementNoise, "length_rad", -0.1),
+        (MeasurementNoise, "constant_fraction", -0.1),
+        (MeasurementNoise, "ood_power", -0.5),
+        (MeasurementNoise, "ood_power", 11.0),
+        (MeasurementNoise, "typical_ood_score", 0.0),
     ],
 )
 def test_settings_out_of_range_are_refused_by_name_and_value(kind, name, value):

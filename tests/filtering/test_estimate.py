@@ -4,7 +4,7 @@ import pytest
 from filtering.estimate import Estimate, ModeConfig, describe_modes, posterior_modes
 from filtering.hypotheses import birth
 from filtering.moments import group_moments
-from filtering.motion import SlowErrors
+from filtering.motion import OdometryBias
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from tests.helpers.simulation import ERRORS, STD, lifted, seen_at
@@ -13,7 +13,7 @@ CONFIG = ModeConfig()
 
 
 def believed(poses, weights):
-    h = birth(seen_at(poses, np.full(len(poses), 1 / len(poses))), 0, 1, SlowErrors(), None)
+    h = birth(seen_at(poses, np.full(len(poses), 1 / len(poses))), 0, 1, OdometryBias(), None)
     return h.with_log_weights(np.log(weights))
 
 
@@ -37,7 +37,7 @@ def test_hypotheses_of_one_place_are_one_mode_with_their_mean_and_covariance():
     assert mode.weight == pytest.approx(1.0)
 
 
-def test_places_a_floor_apart_are_modes_by_falling_weight_whose_covariance_does_not_bridge_them():
+def test_places_a_storey_apart_are_modes_by_falling_weight_whose_covariance_does_not_bridge_them():
     modes = describe_modes(believed(lifted(Poses.identity(), [0.0, 3, 6]), [0.2, 0.5, 0.3]), ERRORS, CONFIG)
     assert [mode.weight for mode in modes] == pytest.approx([0.5, 0.3, 0.2])
     assert [mode.world_from_camera.translation[2] for mode in modes] == pytest.approx([3, 6, 0])
@@ -80,7 +80,7 @@ def test_the_modes_of_an_image_are_its_places_by_falling_share_of_the_whole():
     modes = posterior_modes(seen_at(lifted(Poses.identity(), [0.0, 3, 6]), (0.2, 0.4, 0.2)))
     assert [mode.weight for mode in modes] == pytest.approx([0.5, 0.25, 0.25])
     assert modes[0].world_from_camera.translation[2] == 3.0
-    assert posterior_modes(PosePosterior.nothing()) == ()
+    assert posterior_modes(PosePosterior.uninformative()) == ()
 
 
 def test_the_effective_sample_size_spans_one_to_n():

@@ -8,18 +8,22 @@ from filterpy.kalman import KalmanFilter
 
 from filtering.cameras import View
 from filtering.config import LocalizerConfig
-from filtering.error_model import ErrorModel
-from filtering.hypotheses import POSE, SLOW, bias
+from filtering.hypotheses import BIAS, POSE, correlated_error
 from filtering.localizer import ParticleLocalizer
-from filtering.motion import Odometry, SlowErrors
+from filtering.measurement_noise import MeasurementNoise
+from filtering.motion import Odometry, OdometryBias
 from filtering.se3 import Poses
 from tests.helpers.simulation import seen_at
 
-ONE_PLACE = ErrorModel(
-    tail=1e6, outlier_probability=1e-9, flat_log_density=-500.0, constant_fraction=0.0, lasting_fraction=0.7
+ONE_PLACE = MeasurementNoise(
+    degrees_of_freedom=1e6,
+    outlier_probability=1e-9,
+    log_clutter_density=-500.0,
+    constant_fraction=0.0,
+    correlated_fraction=0.7,
 )
-SLOWLY = SlowErrors(scale=0.05, drift=(0.01, 0.02, 0.015, 1e-7, 2e-7, 3e-7), time_s=4.0)
-ALONE = LocalizerConfig(kidnap_per_view=0.0, max_kidnap_per_view=0.0, adapt_errors=False, slow_errors=SLOWLY)
+SLOWLY = OdometryBias(scale=0.05, drift=(0.01, 0.02, 0.015, 1e-7, 2e-7, 3e-7), time_s=4.0)
+ALONE = LocalizerConfig(birth_rate=0.0, max_birth_rate=0.0, adapt_errors=False, odometry_bias=SLOWLY)
 IMAGE_STD = np.array([0.03, 0.05, 0.04, 2e-6, 1e-6, 3e-6])
 MOTION_STD = np.array([0.004, 0.003, 0.002, 2e-7, 3e-7, 1e-7])
 STEP = np.array([0.08, -0.03, 0.05, 0.0, 0.0, 0.0])
@@ -31,7 +35,7 @@ def skew(v):
 
 
 def kalman_filter(step, cameras=1):
-    """State: position and rotation vector, scale error, drift, and each camera's lasting error; angles are tiny."""
+    """State: position and rotation vector, scale error, drift, and each camera's correlated error; angles are tiny."""
     size = 13 + 6 * cameras
     kalman = KalmanFilter(size, 6)
     kalman.F = np.eye(size)
@@ -48,20 +52,20 @@ def kalman_filter(step, cameras=1):
     kalman.P = np.eye(size)
     kalman.P[:6, :6] *= 1e3  # nothing is known of the pose
     kalman.P[6, 6] = SLOWLY.scale**2
-    kalman.R = (1 - ONE_PLACE.lasting_fraction) * np.diag(IMAGE_STD**2)
+    kalman.R = (1 - ONE_PLACE.correlated_fraction) * np.diag(IMAGE_STD**2)
     return kalman
 
 
 def seen_by(camera, size):
     h = np.zeros((6, size))
     h[:, :6] = np.eye(6)
-    h[:, 13 + 6 * camera : 19 + 6 * camera] = np.sqrt(ONE_PLACE.lasting_fraction) * np.diag(IMAGE_STD)
+    h[:, 13 + 6 * camera : 19 + 6 * camera] = np.sqrt(ONE_PLACE.correlated_fraction) * np.diag(IMAGE_STD)
     return h
 
 
 @pytest.mark.parametrize(("seed", "cameras"), [(0, 1), (1, 1), (2, 1), (5, 2)])
 def test_with_one_place_and_gaussian_errors_the_state_is_that_of_the_kalman_filter(seed, cameras):
-    """Pose, slow errors of odometry, and the lasting errors of each camera, which are independent."""
+    """Pose, odometry bias, and the correlated errors of each camera, which are independent."""
     rng = np.random.default_rng(seed)
     localizer = ParticleLocalizer(None, ALONE, rng=rng)
     kalman = kalman_filter(STEP, cameras)
@@ -93,13 +97,13 @@ def test_with_one_place_and_gaussian_errors_the_state_is_that_of_the_kalman_filt
         np.testing.assert_allclose(belief.covariance[0] / np.outer(std, std), kalman.P / np.outer(std, std), atol=1e-3)
         np.testing.assert_allclose(estimate.modes[0].covariance, belief.covariance[0, POSE, POSE])
     learned = np.sqrt(np.diag(belief.covariance[0]))
-    assert learned[SLOW][0] < 0.5 * SLOWLY.scale  # precondition: there was something to learn
-    assert (learned[bias(0)][:3] < 0.95).all()
+    assert learned[BIAS][0] < 0.5 * SLOWLY.scale  # precondition: there was something to learn
+    assert (learned[correlated_error(0)][:3] < 0.95).all()
 
 
 def test_a_heavy_tail_or_outliers_make_another_filter_of_it():
     """The precondition of the exactness: it is these two settings that keep the filter from being a Kalman filter."""
-    for change in ({"tail": 3.0}, {"outlier_probability": 0.3, "flat_log_density": 15.0}):
+    for change in ({"degrees_of_freedom": 3.0}, {"outlier_probability": 0.3, "log_clutter_density": 15.0}):
         errors, rng = replace(ONE_PLACE, **change), np.random.default_rng(0)
         localizers = [ParticleLocalizer(None, ALONE, rng=rng) for _ in range(2)]
         for t in range(10):

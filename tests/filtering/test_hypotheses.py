@@ -5,16 +5,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError
-from filtering.hypotheses import POSE, SLOW, Hypotheses, bias, birth, concatenate, log_sum, with_source
+from filtering.hypotheses import BIAS, POSE, Hypotheses, birth, concatenate, correlated_error, log_sum, with_source
+from filtering.measurement_noise import MeasurementNoise
 from filtering.mixture_reduction import reduce_mixture
-from filtering.motion import Odometry, SlowErrors
+from filtering.motion import Odometry, OdometryBias
 from filtering.prediction import inflate, motion_of_state, predict
 from filtering.se3 import Poses
 from tests.helpers.simulation import ERRORS, STD, motion, seen_at
 
-NEVER = SlowErrors(scale=0.0, relative_drift=0.0)
+NEVER = OdometryBias(scale=0.0, relative_drift=0.0)
 
 
 def random_covariances(count, size, *, seed, scale=1.0):
@@ -73,27 +73,27 @@ def test_the_log_of_a_sum_neither_overflows_nor_vanishes():
 
 def test_a_newborn_errs_as_the_image_does_and_its_error_goes_with_the_images_lasting_one():
     posterior = seen_at(Poses.identity(2), (0.7, 0.2))
-    h = birth(posterior, 0, 1, SlowErrors(scale=0.03), None)
+    h = birth(posterior, 0, 1, OdometryBias(scale=0.03), None)
     assert (h.weights / h.weights[0]).tolist() == pytest.approx([1.0, (0.2 / 0.25) / (0.7 / 0.75)])
     np.testing.assert_array_equal(h.pose_covariance, posterior.covariances)
     np.testing.assert_allclose(h.covariance[:, 6, 6], 0.03**2)
     np.testing.assert_allclose(h.covariance[0, range(7, 19), range(7, 19)], 1.0)
     # The pose minus what lasts of the image's error is uncertain by the fresh share alone.
-    factor = np.sqrt(ERRORS.lasting_fraction) * np.diag(STD)
+    factor = np.sqrt(ERRORS.correlated_fraction) * np.diag(STD)
     measured = np.hstack([np.eye(6), np.zeros((6, 7)), factor])
     np.testing.assert_allclose(
-        measured @ h.covariance[0] @ measured.T, (1.0 - ERRORS.lasting_fraction) * np.diag(STD**2), atol=1e-15
+        measured @ h.covariance[0] @ measured.T, (1.0 - ERRORS.correlated_fraction) * np.diag(STD**2), atol=1e-15
     )
     assert np.linalg.eigvalsh(h.covariance).min() > 0.0
 
 
 def test_a_newborn_knows_of_the_odometrys_errors_what_the_heaviest_hypothesis_knows():
     belief = bank(3, weights=[0.2, 0.7, 0.1])
-    h = birth(seen_at(Poses.identity(1)), 0, 1, SlowErrors(), belief)
+    h = birth(seen_at(Poses.identity(1)), 0, 1, OdometryBias(), belief)
     np.testing.assert_array_equal(h.mean[0, :7], belief.mean[1, :7])
-    np.testing.assert_array_equal(h.covariance[0, SLOW, SLOW], belief.covariance[1, SLOW, SLOW])
+    np.testing.assert_array_equal(h.covariance[0, BIAS, BIAS], belief.covariance[1, BIAS, BIAS])
     assert not h.mean[0, 7:].any()
-    assert not h.covariance[0, POSE, SLOW].any()
+    assert not h.covariance[0, POSE, BIAS].any()
 
 
 def test_one_more_camera_adds_its_errors_and_leaves_the_rest():
@@ -102,17 +102,17 @@ def test_one_more_camera_adds_its_errors_and_leaves_the_rest():
     np.testing.assert_array_equal(more.covariance[:, :19, :19], h.covariance)
     np.testing.assert_array_equal(more.mean[:, :13], h.mean)
     assert not more.covariance[:, :19, 19:].any()
-    np.testing.assert_array_equal(more.covariance[1, bias(1), bias(1)], np.eye(6))
+    np.testing.assert_array_equal(more.covariance[1, correlated_error(1), correlated_error(1)], np.eye(6))
 
 
 # --- motion -----------------------------------------------------------------------------------------
 
 
 def test_what_moves_is_what_happens_to_draws_of_the_state():
-    """40 000 draws of pose, slow errors and lasting errors, moved one by one: mean and covariance within 4 %."""
+    """40 000 draws of pose, odometry bias and correlated errors, moved one by one: mean and covariance within 4 %."""
     rng = np.random.default_rng(0)
     h = bank(1, weights=[1.0])
-    slow = SlowErrors(scale=0.03, drift=(0.05, 0.04, 0.03, 0.02, 0.03, 0.04), time_s=5.0)
+    slow = OdometryBias(scale=0.03, drift=(0.05, 0.04, 0.03, 0.02, 0.03, 0.04), time_s=5.0)
     covariance = random_covariances(1, 6, seed=1, scale=0.02)[0]
     step = Odometry(Poses.exp(np.array([0.4, -0.1, 0.2, 0.1, 0.3, -0.2])), covariance, 0.8)
     after = predict(h, step, slow, [0.6])
@@ -138,7 +138,7 @@ def test_what_moves_is_what_happens_to_draws_of_the_state():
 
 
 def test_many_hypotheses_move_as_the_transition_of_the_state_says():
-    h, slow = bank(300), SlowErrors(scale=0.05, relative_drift=0.5)
+    h, slow = bank(300), OdometryBias(scale=0.05, relative_drift=0.5)
     odometry = motion(0.3, 0.1, 0, 0.2, 0.1, 0.3)
     transition, noise = motion_of_state(odometry, slow, [0.7])
     after = predict(h, odometry, slow, [0.7]).covariance
@@ -151,7 +151,7 @@ def test_many_hypotheses_move_as_the_transition_of_the_state_says():
     cuts=st.lists(st.floats(0.0, 1.0), min_size=1, max_size=5),
 )
 def test_two_motions_are_one_motion_that_is_both(seed, cuts):
-    """Without slow errors, hypotheses after the parts equal those after `then`."""
+    """Without odometry bias, hypotheses after the parts equal those after `then`."""
     rng = np.random.default_rng(seed)
     start = birth(seen_at(Poses.exp(rng.standard_normal((3, 6))), (0.5, 0.3, 0.2)), 0, 1, NEVER, None)
     parts = [
@@ -169,9 +169,9 @@ def test_two_motions_are_one_motion_that_is_both(seed, cuts):
     np.testing.assert_allclose(one.mean, both.mean, atol=1e-12)
 
 
-def test_a_steady_motion_in_any_parts_leaves_the_same_belief_slow_errors_and_all():
-    """The parts' slow errors are taken as constant over each part: 30 of them differ by less than 2 % of a std."""
-    slow = SlowErrors(scale=0.02, relative_drift=1.0, time_s=30.0)
+def test_a_steady_motion_in_any_parts_leaves_the_same_belief_odometry_bias_and_all():
+    """The parts' odometry bias are taken as constant over each part: 30 of them differ by less than 2 % of a std."""
+    slow = OdometryBias(scale=0.02, relative_drift=1.0, time_s=30.0)
     std, tangent = np.array([0.02, 0.01, 0.01, 0.005, 0.005, 0.01]), np.array([2.0, 0, 0.1, 0, 0, 0.1])
     stds = []
     for count in (1, 3, 30):
@@ -278,6 +278,6 @@ def test_what_is_lighter_than_the_least_weight_goes_but_the_heaviest_stays():
     assert len(fewer(even, divergence=0.0, least_weight=0.1, most=1000)) == 200
 
 
-def test_an_error_model_without_lasting_errors_ties_a_newborn_to_no_bias():
-    h = birth(seen_at(Poses.identity(1), errors=ErrorModel(lasting_fraction=0.0)), 0, 1, NEVER, None)
-    assert not h.covariance[0, POSE, bias(0)].any()
+def test_an_measurement_noise_without_correlated_errors_ties_a_newborn_to_no_bias():
+    h = birth(seen_at(Poses.identity(1), errors=MeasurementNoise(correlated_fraction=0.0)), 0, 1, NEVER, None)
+    assert not h.covariance[0, POSE, correlated_error(0)].any()

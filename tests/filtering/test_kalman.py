@@ -13,9 +13,9 @@ from filtering.localizer import ParticleLocalizer
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
-from tests.helpers.modelled_walk import ERRORS, SLOW, walk
+from tests.helpers.modelled_walk import BIAS, ERRORS, walk
 
-CONFIG = KalmanConfig(slow_errors=SLOW)
+CONFIG = KalmanConfig(odometry_bias=BIAS)
 
 
 def follow(kalman, posteriors, odometry):
@@ -29,13 +29,15 @@ def lifted(posterior, metres):
 
 
 def test_with_one_place_per_image_it_is_the_particle_filter_with_one_hypothesis():
-    path = walk(60, rng=np.random.default_rng(0), errors=replace(ERRORS, tail=5.0, outlier_probability=1e-9))
-    certain = LocalizerConfig(kidnap_per_view=0.0, max_kidnap_per_view=0.0, slow_errors=SLOW)
+    path = walk(
+        60, rng=np.random.default_rng(0), errors=replace(ERRORS, degrees_of_freedom=5.0, outlier_probability=1e-9)
+    )
+    certain = LocalizerConfig(birth_rate=0.0, max_birth_rate=0.0, odometry_bias=BIAS)
     filtered = ParticleLocalizer(None, certain, rng=np.random.default_rng(0))
     kalman = KalmanLocalizer(replace(CONFIG, gate_probability=0.999999))
     for i, (posterior, motion) in enumerate(zip(path.posteriors, path.odometry, strict=True)):
         motion = None if i == 30 else motion
-        seen = PosePosterior.nothing(ERRORS) if i % 7 == 3 else posterior
+        seen = PosePosterior.uninformative(ERRORS) if i % 7 == 3 else posterior
         estimate = filtered.update(seen, motion, elapsed_s=0.1)
         mode = kalman.update(seen, motion, elapsed_s=0.1)
         assert len(estimate.particles) == 1
@@ -99,12 +101,12 @@ def test_images_that_say_nothing_only_predict_and_the_first_of_them_is_refused()
     path = walk(30, rng=np.random.default_rng(4))
     kalman = KalmanLocalizer(CONFIG)
     with pytest.raises(VaporTrackError, match="the first image has no place"):
-        kalman.update(PosePosterior.nothing(ERRORS), None)
-    foreign = lifted(replace(path.posteriors[0], unfamiliarity=2.0), 50.0)
-    assert kalman.update(foreign, None).world_from_camera.translation[2] > 40.0
-    first = kalman.update(path.posteriors[1], path.odometry[1])  # what a foreign image said is forgotten
+        kalman.update(PosePosterior.uninformative(ERRORS), None)
+    unlike = lifted(replace(path.posteriors[0], ood_score=2.0), 50.0)
+    assert kalman.update(unlike, None).world_from_camera.translation[2] > 40.0
+    first = kalman.update(path.posteriors[1], path.odometry[1])  # what an out-of-distribution image said is forgotten
     assert float(first.world_from_camera.distance(path.truth[1])[0]) < 0.5
-    mode = kalman.update(PosePosterior.nothing(ERRORS), path.odometry[2])
+    mode = kalman.update(PosePosterior.uninformative(ERRORS), path.odometry[2])
     assert mode.widest_std_m > first.widest_std_m
     np.testing.assert_allclose(
         mode.world_from_camera.as_matrix(),
@@ -128,11 +130,11 @@ def test_missing_odometry_widens_the_belief_or_forgets_it():
     assert strict.update(far, None, elapsed_s=3.0).world_from_camera.distance(path.truth[19])[0] < 0.4
 
 
-def test_where_odometry_is_missing_and_the_image_says_nothing_the_next_one_begins():
+def test_where_odometry_is_missing_and_the_image_is_uninformative_the_next_one_begins():
     path = walk(21, rng=np.random.default_rng(5))
     kalman = KalmanLocalizer(replace(CONFIG, gap=GapConfig("forget")))
     poses, _ = follow(kalman, path.posteriors[:20], path.odometry[:20])
-    mode = kalman.update(PosePosterior.nothing(), None, elapsed_s=1.0)
+    mode = kalman.update(PosePosterior.uninformative(), None, elapsed_s=1.0)
     assert mode.world_from_camera.distance(poses[-1])[0] < 0.01
     assert mode.widest_std_m > 1.4
     far = lifted(path.posteriors[20], 30.0)

@@ -12,8 +12,8 @@ from tests.helpers.simulation import (
     AHEAD,
     ERRORS,
     FLOOR_HEIGHT_M,
-    FOREIGN,
     ODOMETRY_STD,
+    OUT_OF_DISTRIBUTION,
     RNG,
     STAY,
     Oracle,
@@ -54,7 +54,7 @@ def test_an_ambiguous_belief_collapses_to_the_truth_once_a_unique_place_is_seen(
 
 
 @pytest.mark.usefixtures("unchecked")
-def test_without_a_unique_place_the_true_floor_stays_among_the_modes_and_convergence_is_never_claimed():
+def test_without_a_unique_place_the_true_storey_stays_among_the_modes_and_convergence_is_never_claimed():
     estimates, _, truth = localize(11, 40, unique=range(0))
     assert all(estimate.status == "ambiguous" for estimate in estimates)
     for i, estimate in enumerate(estimates):
@@ -62,7 +62,7 @@ def test_without_a_unique_place_the_true_floor_stays_among_the_modes_and_converg
         assert nearest < 0.3
 
 
-def test_modes_are_a_floor_apart_and_their_covariance_does_not_bridge_them():
+def test_modes_are_a_storey_apart_and_their_covariance_does_not_bridge_them():
     estimates, _, _ = localize(12, 5, unique=range(0))
     modes = estimates[-1].modes
     heights = np.sort([mode.world_from_camera.translation[2] for mode in modes])
@@ -102,9 +102,9 @@ def test_a_first_image_that_is_all_but_sure_of_a_wrong_place_does_not_decide():
     assert weight_near(estimates[-1], lifted(pose, (3.0,)).translation[0]) > 0.25
 
 
-def test_a_first_image_that_says_nothing_is_refused_and_the_next_begins():
+def test_a_first_image_that_is_uninformative_is_refused_and_the_next_begins():
     localizer = new_localizer()
-    for nothing in (PosePosterior.nothing(), FOREIGN):
+    for nothing in (PosePosterior.uninformative(), OUT_OF_DISTRIBUTION):
         with pytest.raises(VaporTrackError, match="first image has no place"):
             localizer.update(nothing, None)
     assert_same_belief(
@@ -113,9 +113,9 @@ def test_a_first_image_that_says_nothing_is_refused_and_the_next_begins():
     )  # fmt: skip
 
 
-def test_a_first_image_that_is_foreign_gives_a_belief_that_is_lost_until_a_familiar_one_begins_it_anew():
+def test_a_first_image_that_is_out_of_distribution_gives_a_belief_that_is_lost_until_a_familiar_one_begins_it_anew():
     localizer = new_localizer()
-    wrong = seen_at(Poses.exp(np.array([[30.0, 0, 0, 0, 0, 0]])), unfamiliarity=3.0)
+    wrong = seen_at(Poses.exp(np.array([[30.0, 0, 0, 0, 0, 0]])), ood_score=3.0)
     assert localizer.update(wrong, None).status == "lost"
     assert localizer.update(wrong, AHEAD).status == "lost"
     begun = localizer.update(seen_at(Poses.identity(1)), AHEAD)
@@ -130,12 +130,12 @@ def test_there_is_nothing_to_predict_before_the_first_image():
 
 @pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("rate", [1, 3, 10, 30])
-def test_foreign_images_are_lost_after_about_a_second_or_six_images_and_the_map_in_view_again_is_found(rate):
+def test_ood_images_are_lost_after_about_a_second_or_six_images_and_the_map_in_view_again_is_found(rate):
     localizer = new_localizer()
     walk(localizer, 30)
     step = motion(0, 0, 0, 0, 0, 0, std=ODOMETRY_STD / np.sqrt(rate / 10), duration_s=1 / rate)
-    foreign = seen_at(Poses.exp(np.array([[9.0, 0, 0, 0, 0, 0]])), unfamiliarity=2.0)
-    statuses = [localizer.update(foreign, step).status for _ in range(max(3 * rate, 10))]
+    unlike = seen_at(Poses.exp(np.array([[9.0, 0, 0, 0, 0, 0]])), ood_score=2.0)
+    statuses = [localizer.update(unlike, step).status for _ in range(max(3 * rate, 10))]
     since_s = (statuses.index("lost") + 1) / rate
     # e^(−1.2) is the least agreement, and so is 0.8 to the 5.4
     assert since_s == pytest.approx(max(1.2, 5.4 / rate), abs=max(0.34, 1.0 / rate))
@@ -186,7 +186,7 @@ def test_predicting_moves_the_belief_and_never_makes_it_surer():
             [mode.weight for mode in estimate.modes[:2]], [mode.weight for mode in before[-1].modes[:2]], atol=0.02
         )
         assert estimate.modes[0].widest_std_m >= last.modes[0].widest_std_m - 1e-9
-        assert (estimate.agreement, estimate.novelty, estimate.unfamiliarity) == (before[-1].agreement, 0.0, 0.0)
+        assert (estimate.agreement, estimate.novelty, estimate.ood_score) == (before[-1].agreement, 0.0, 0.0)
         last = estimate
     moved = before[-1].modes[0].world_from_camera.distance(last.modes[0].world_from_camera)[0]
     assert moved > 3.0
@@ -213,8 +213,8 @@ def test_the_best_mode_changes_only_when_another_clearly_outweighs_it():
     assert all(up for up, _ in orders[switched:])
 
 
-@pytest.mark.parametrize("nothing", [PosePosterior.nothing(), seen_at(Poses.identity(1), unfamiliarity=1.5)])
-def test_an_image_that_says_nothing_leaves_the_belief_as_the_motion_alone_does(nothing):
+@pytest.mark.parametrize("nothing", [PosePosterior.uninformative(), seen_at(Poses.identity(1), ood_score=1.5)])
+def test_an_image_that_is_uninformative_leaves_the_belief_as_the_motion_alone_does(nothing):
     beliefs = []
     for seen in (None, nothing):
         localizer = new_localizer()
@@ -237,12 +237,12 @@ class Recording:
         return seen_at(Poses.exp(0.01 * self.images * np.eye(6)[:1]))
 
 
-def test_an_image_that_equals_the_one_before_comes_from_a_frozen_camera_and_says_nothing():
+def test_an_image_that_equals_the_one_before_comes_from_a_frozen_camera_and_is_uninformative():
     localizer = ParticleLocalizer(Recording(), rng=RNG(0))
-    assert not localizer.observe(image_of(1)).says_nothing
-    assert localizer.observe(image_of(1)).says_nothing
-    assert not localizer.observe(image_of(2)).says_nothing
-    assert not localizer.observe(image_of(1)).says_nothing
+    assert not localizer.observe(image_of(1)).is_uninformative
+    assert localizer.observe(image_of(1)).is_uninformative
+    assert not localizer.observe(image_of(2)).is_uninformative
+    assert not localizer.observe(image_of(1)).is_uninformative
 
 
 def test_a_frozen_camera_on_a_moving_robot_moves_the_belief_by_odometry_alone():

@@ -8,13 +8,13 @@ import pytest
 from filtering.config import GapConfig, LocalizerConfig
 from filtering.errors import VaporTrackError
 from filtering.localizer import ParticleLocalizer
-from filtering.motion import Odometry, SlowErrors
+from filtering.motion import Odometry, OdometryBias
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from tests.helpers.simulation import (
     AHEAD,
     ERRORS,
-    FOREIGN,
+    OUT_OF_DISTRIBUTION,
     RNG,
     STAY,
     STD,
@@ -31,7 +31,7 @@ from tests.helpers.simulation import (
 
 
 def test_odometry_that_errs_along_but_not_across_stays_so():
-    localizer = new_localizer(slow_errors=SlowErrors(scale=0.0, relative_drift=0.0))
+    localizer = new_localizer(odometry_bias=OdometryBias(scale=0.0, relative_drift=0.0))
     localizer.update(seen_at(Poses.identity(1), std=[1e-3] * 6), None)
     for _ in range(20):
         estimate = localizer.predict(motion(0.5, 0, 0, 0, 0, 0, std=[0.10, 0.002, 0.002, 1e-5, 1e-5, 1e-5]))
@@ -46,7 +46,7 @@ def test_odometry_that_errs_along_but_not_across_stays_so():
 @pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("too_long", [0.05, -0.05])
 def test_odometry_that_is_5_percent_off_is_found_out(too_long):
-    localizer = new_localizer(slow_errors=SlowErrors(scale=0.05, relative_drift=0.1))
+    localizer = new_localizer(odometry_bias=OdometryBias(scale=0.05, relative_drift=0.1))
     rng, true = RNG(0), Poses.identity()
     step = motion(0.2, 0, 0, 0, 0, 0, std=[2e-3] * 3 + [1e-3] * 3)
     reported = motion(0.2 * (1 + too_long), 0, 0, 0, 0, 0, std=[2e-3] * 3 + [1e-3] * 3)
@@ -142,7 +142,7 @@ def test_nothing_depends_on_the_unit_of_length(factor):
 def test_without_odometry_the_belief_widens_by_the_stated_motion_and_keeps_its_hypotheses():
     localizer = new_localizer(gap=GapConfig(speed_m_per_s=2.0, turn_rad_per_s=0.1))
     before = localizer.update(seen_at(lifted(Poses.identity(), (0.0, 30.0)), (0.6, 0.4)), None)
-    after = localizer.update(PosePosterior.nothing(), None, elapsed_s=1.5)
+    after = localizer.update(PosePosterior.uninformative(), None, elapsed_s=1.5)
     assert len(after.particles) == len(before.particles) == 2
     np.testing.assert_allclose(after.log_weights, before.log_weights)
     np.testing.assert_allclose(after.particles.translation, before.particles.translation)
@@ -167,7 +167,7 @@ def test_a_belief_that_forgets_starts_anew_from_the_image():
 
 
 @pytest.mark.parametrize(
-    "nothing", [PosePosterior.nothing(), FOREIGN, seen_at(Poses.identity(1), unfamiliarity=2.0), []]
+    "nothing", [PosePosterior.uninformative(), OUT_OF_DISTRIBUTION, seen_at(Poses.identity(1), ood_score=2.0), []]
 )
 def test_a_belief_that_forgets_is_lost_until_an_image_says_something(nothing):
     localizer = new_localizer(gap=GapConfig(action="forget"))

@@ -7,7 +7,7 @@ from filtering.errors import VaporTrackError
 from filtering.motion import (
     MotionNoise,
     Odometry,
-    SlowErrors,
+    OdometryBias,
     accumulated,
     covariance_factor,
     require_odometry,
@@ -113,4 +113,4 @@ def test_a_duration_that_is_none_is_refused_with_its_value(duration_s):
 
 def test_a_negative_drift_is_refused():
     with pytest.raises(VaporTrackError, match=r"drift is .*-1.0.*, expected each axis"):
-        SlowErrors(drift=(0.0, 0.0, 0.0, 0.0, 0.0, -1.0))
+        OdometryBias(drift=(0.0, 0.0, 0.0, 0.0, 0.0, -1.0))

@@ -10,10 +10,10 @@ from filtering.config import LocalizerConfig
 from filtering.localizer import ParticleLocalizer
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
-from tests.helpers.modelled_walk import SLOW, walk
+from tests.helpers.modelled_walk import BIAS, walk
 from vapor.tracking.methods import GAUSSIANS, gaussian_sum
 
-CONFIG = LocalizerConfig(slow_errors=SLOW)
+CONFIG = LocalizerConfig(odometry_bias=BIAS)
 GAUSSIAN_SUM, AUGMENTED = gaussian_sum(CONFIG), replace(CONFIG, births="augmented-mcl")
 FLOORS = (-6.0, -3.0, 0.0, 3.0, 6.0)
 
@@ -78,7 +78,7 @@ def test_in_augmented_localization_nothing_is_born_without_doubt_and_much_with_i
     localizer = ParticleLocalizer(None, AUGMENTED, rng=np.random.default_rng(0))
     fractions = []
     for i, (seen, motion) in enumerate(zip(carried_off(path, 8.0, 40), path.odometry, strict=True)):
-        localizer.update(PosePosterior.nothing(seen.errors) if 20 <= i < 30 else seen, motion)
+        localizer.update(PosePosterior.uninformative(seen.errors) if 20 <= i < 30 else seen, motion)
         fractions.append(augmented_mcl(localizer.belief, 1.0, 1.0, AUGMENTED))
     assert max(fractions[:40]) < 0.05
     assert max(fractions[40:50]) > 0.2

@@ -38,7 +38,7 @@ def test_two_clusters_ten_radii_apart_are_two_places_with_their_shares_means_and
         mean = samples[own].mean()
         assert (np.abs((mean.inverse() @ posterior.means[k]).log()) < 0.005).all()
         tangent = (mean.inverse() @ samples[own]).log()
-        expected = 2.0 * np.cov(tangent.T, bias=True) + np.diag(np.square(ERRORS.floor))
+        expected = 2.0 * np.cov(tangent.T, bias=True) + np.diag(np.square(ERRORS.noise_floor))
         scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
         np.testing.assert_allclose(posterior.covariances[k] / scale, expected / scale, atol=0.06)
 
@@ -74,13 +74,13 @@ def test_two_places_inside_one_and_a_half_radii_are_one_and_beyond_three_are_two
 
 
 @pytest.mark.parametrize("count", [1, 2, 1000])
-def test_equal_samples_are_one_place_as_wide_as_the_floor(count):
+def test_equal_samples_are_one_place_as_wide_as_the_storey(count):
     pose = Poses.exp(np.array([100.0, -50, 3, 0.1, 0.2, 3.0]))
     samples = Poses(np.repeat(pose.rotation[None], count, 0), np.repeat(pose.translation[None], count, 0))
     posterior = PosePosterior.from_samples(samples, ERRORS)
     assert posterior.weights.tolist() == [1.0]
     assert posterior.means[0].distance(pose)[0] < 1e-9
-    np.testing.assert_allclose(posterior.covariances[0], np.diag(np.square(ERRORS.floor)), atol=1e-12)
+    np.testing.assert_allclose(posterior.covariances[0], np.diag(np.square(ERRORS.noise_floor)), atol=1e-12)
 
 
 @pytest.mark.parametrize("offset", [0.0, 1e4])
@@ -148,13 +148,13 @@ def test_estimates_without_any_or_with_other_numbers_are_refused():
             PosePosterior.from_estimates(Poses.identity(2), std, 0.1, ERRORS)
 
 
-def test_an_image_that_says_nothing_has_no_place_and_a_foreign_one_says_nothing_though_it_has():
-    assert PosePosterior.nothing().says_nothing
-    assert len(PosePosterior.nothing().samples) == 0
+def test_an_image_that_is_uninformative_has_no_place_and_a_foreign_one_is_uninformative_though_it_has():
+    assert PosePosterior.uninformative().is_uninformative
+    assert len(PosePosterior.uninformative().samples) == 0
     shown = Poses.identity(7)
-    assert PosePosterior.nothing(ERRORS, shown).samples is shown
-    assert not seen_at(Poses.identity(1), unfamiliarity=1.0).says_nothing
-    assert seen_at(Poses.identity(1), unfamiliarity=1.01).says_nothing
+    assert PosePosterior.uninformative(ERRORS, shown).samples is shown
+    assert not seen_at(Poses.identity(1), ood_score=1.0).is_uninformative
+    assert seen_at(Poses.identity(1), ood_score=1.01).is_uninformative
 
 
 def test_a_place_with_few_samples_is_nearly_as_possible_as_one_with_many():
@@ -193,22 +193,22 @@ def test_factors_do_not_depend_on_the_unit_of_length(factor):
 
 # --- images unlike the training ---------------------------------------------------------------------
 
-GROWING = replace(ERRORS, unfamiliar_power=1.0, unfamiliar_score=0.5)
+GROWING = replace(ERRORS, ood_power=1.0, typical_ood_score=0.5)
 
 
 def test_an_image_unlike_the_training_has_larger_errors_at_the_same_places():
     samples, _ = two_clusters()
-    plain, grown = (PosePosterior.from_samples(samples, errors, unfamiliarity=0.9) for errors in (ERRORS, GROWING))
+    plain, grown = (PosePosterior.from_samples(samples, errors, ood_score=0.9) for errors in (ERRORS, GROWING))
     assert (plain.growth, grown.growth) == (1.0, pytest.approx(3.24))
     np.testing.assert_allclose(grown.covariances, 3.24 * plain.covariances)
     np.testing.assert_allclose(grown.weights, plain.weights)
     assert grown.errors == GROWING
-    assert PosePosterior.from_samples(samples, GROWING, unfamiliarity=0.1).growth == pytest.approx(0.04)
+    assert PosePosterior.from_samples(samples, GROWING, ood_score=0.1).growth == pytest.approx(0.04)
     assert PosePosterior.from_samples(samples, GROWING).growth == 1.0  # no score
 
 
 def test_growth_of_variances_outlasts_another_frame_and_larger_errors():
-    posterior = PosePosterior.from_samples(two_clusters()[0], GROWING, unfamiliarity=0.9)
+    posterior = PosePosterior.from_samples(two_clusters()[0], GROWING, ood_score=0.9)
     assert posterior.inflated(4.0).growth == posterior.growth
     assert posterior.seen_from(Poses.exp(np.array([0.1, 0, 0, 0, 0, 0.3]))).growth == posterior.growth
 
@@ -262,8 +262,8 @@ def infinite_pose():
             {"covariances": np.stack([np.eye(6), np.eye(6) + np.eye(6, k=2)])},
             "covariance 1 of 2 is not symmetric",
         ),
-        ({"unfamiliarity": float("nan")}, "unfamiliarity is nan"),
-        ({"unfamiliarity": -0.1}, "unfamiliarity is -0.1"),
+        ({"ood_score": float("nan")}, "ood_score is nan"),
+        ({"ood_score": -0.1}, "ood_score is -0.1"),
     ],
 )
 def test_what_is_no_posterior_is_refused_with_what_is_wrong(change, message):

@@ -63,7 +63,7 @@ def test_of_two_cameras_one_may_say_nothing():
     for i in range(10):
         pose = Poses.exp(np.array([0.1 * i, 0, 0, 0, 0, 0]))
         front = View(seen_at(pose @ FRONT), FRONT, "front")
-        both = [front, View(PosePosterior.nothing(ERRORS), BACK, "back")]
+        both = [front, View(PosePosterior.uninformative(ERRORS), BACK, "back")]
         step = motion(0.1, 0, 0, 0, 0, 0)
         assert_same_belief(pair.update(both, step), alone.update([front], step), atol=0)
 
@@ -114,7 +114,7 @@ def test_no_view_at_all_is_a_prediction():
 def test_a_rig_begins_at_its_first_view_that_has_places():
     place = seen_at(Poses.identity(1))
     views = [
-        View(PosePosterior.nothing(ERRORS), Poses.identity(), "left"),
+        View(PosePosterior.uninformative(ERRORS), Poses.identity(), "left"),
         View(place, Poses.identity(), "right"),
     ]
     estimate = ParticleLocalizer(None, rng=np.random.default_rng(0)).update(views, None)

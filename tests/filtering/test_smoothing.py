@@ -12,15 +12,15 @@ from filtering.localizer import ParticleLocalizer
 from filtering.se3 import Poses
 from filtering.smoothing import SmoothingConfig, agreement, independence, smooth
 from tests.helpers.full import some
-from tests.helpers.modelled_walk import ERRORS, SLOW, walk
+from tests.helpers.modelled_walk import BIAS, ERRORS, walk
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 
-CONFIG = SmoothingConfig(slow_errors=SLOW)
+CONFIG = SmoothingConfig(odometry_bias=BIAS)
 
 
 def filtered_and_smoothed(path, errors=ERRORS, modes=None):
-    localizer = ParticleLocalizer(None, LocalizerConfig(slow_errors=SLOW), rng=np.random.default_rng(0))
+    localizer = ParticleLocalizer(None, LocalizerConfig(odometry_bias=BIAS), rng=np.random.default_rng(0))
     estimates = [localizer.update(p, odom) for p, odom in zip(path.posteriors, path.odometry, strict=True)]
     filtered = Poses.stack([estimate.modes[0].world_from_camera for estimate in estimates])
     sure = np.array([estimate.status == "converged" for estimate in estimates])
@@ -32,27 +32,29 @@ def filtered_and_smoothed(path, errors=ERRORS, modes=None):
 # --- what an image is worth --------------------------------------------------------------------------
 
 
-def of_one_pose(distances, lasting_fraction):
+def of_one_pose(distances, correlated_fraction):
     """What the images say together of one pose, in independent images: 1ᵀ K⁻¹ 1."""
     along = np.cumsum(distances)
-    correlation = lasting_fraction * np.exp(-np.abs(along[:, None] - along))
+    correlation = correlated_fraction * np.exp(-np.abs(along[:, None] - along))
     np.fill_diagonal(correlation, 1.0)
     return np.linalg.inv(correlation).sum()
 
 
-@pytest.mark.parametrize("lasting_fraction", [0.0, 0.5, 0.8, 0.999])
-def test_a_standing_camera_is_worth_little_more_than_one_image(lasting_fraction):
+@pytest.mark.parametrize("correlated_fraction", [0.0, 0.5, 0.8, 0.999])
+def test_a_standing_camera_is_worth_little_more_than_one_image(correlated_fraction):
     n = 500
-    worth = independence(np.zeros(n), lasting_fraction)
-    np.testing.assert_allclose(worth, 1 / (1 + (n - 1) * lasting_fraction), rtol=0.05)
+    worth = independence(np.zeros(n), correlated_fraction)
+    np.testing.assert_allclose(worth, 1 / (1 + (n - 1) * correlated_fraction), rtol=0.05)
 
 
 @pytest.mark.parametrize("step", some(2, [0.5, 20.0, 0.01, 0.1, 2.0]))
 def test_on_a_long_way_an_image_is_worth_what_the_inverse_of_the_correlations_says(step):
-    n, lasting_fraction = 2000, 0.8
-    worth = independence(np.full(n, step), lasting_fraction)
-    assert worth[n // 2] == pytest.approx(1 / (1 - lasting_fraction + lasting_fraction / np.tanh(step / 2)), rel=1e-3)
-    assert worth.sum() == pytest.approx(of_one_pose(np.full(n, step), lasting_fraction), rel=1e-6)
+    n, correlated_fraction = 2000, 0.8
+    worth = independence(np.full(n, step), correlated_fraction)
+    assert worth[n // 2] == pytest.approx(
+        1 / (1 - correlated_fraction + correlated_fraction / np.tanh(step / 2)), rel=1e-3
+    )
+    assert worth.sum() == pytest.approx(of_one_pose(np.full(n, step), correlated_fraction), rel=1e-6)
 
 
 def test_a_stand_takes_nothing_from_images_on_the_way():

@@ -64,7 +64,7 @@ def taken(found):
     for kind, leap_m, turn_rad, duration_s, honest in found:
         odom = None if kind == "gap" else odometry(leap_m, turn_rad, duration_s, honest)
         if kind == "nothing":
-            yield PosePosterior.nothing(ERRORS), odom, duration_s
+            yield PosePosterior.uninformative(ERRORS), odom, duration_s
             continue
         place = place @ Poses.exp(np.array([0.05, 0, 0, 0, 0.01, 0]))
         at = Poses(place.rotation, place.translation + 7.0) if kind == "elsewhere" else place
@@ -122,7 +122,7 @@ def test_the_longer_nothing_is_seen_the_less_is_known():
             localizer = make()
             localizer.update(seen_at(Poses.identity()), None)
             still = Odometry(Poses.identity(), NOISE.covariance(Poses.identity(), duration_s), duration_s)
-            found = localizer.update(PosePosterior.nothing(ERRORS), still)
+            found = localizer.update(PosePosterior.uninformative(ERRORS), still)
             widest.append((found if isinstance(found, Mode) else found.modes[0]).widest_std_m)
         assert (np.diff(widest) > 0.0).all()
         assert widest[-1] > 100.0

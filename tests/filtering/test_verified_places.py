@@ -6,19 +6,21 @@ import numpy as np
 import pytest
 
 from filtering.config import LocalizerConfig
-from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError
 from filtering.estimate import posterior_modes
 from filtering.kalman import KalmanLocalizer
 from filtering.localizer import ParticleLocalizer
 from filtering.mapped_views import MappedViews
+from filtering.measurement_noise import MeasurementNoise
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from filtering.smoothing import smooth
 
-SHARP = ErrorModel(floor=(0.01,) * 6, typical_std=(0.01,) * 6, tail=10.0, length_m=0.3, lasting_fraction=0.8)
-ERRORS = ErrorModel(floor=(0.3,) * 3 + (0.1,) * 3, typical_std=(0.3,) * 3 + (0.1,) * 3, verified=SHARP)
+SHARP = MeasurementNoise(
+    noise_floor=(0.01,) * 6, typical_std=(0.01,) * 6, degrees_of_freedom=10.0, length_m=0.3, correlated_fraction=0.8
+)
+ERRORS = MeasurementNoise(noise_floor=(0.3,) * 3 + (0.1,) * 3, typical_std=(0.3,) * 3 + (0.1,) * 3, verified=SHARP)
 STEP = Odometry(Poses(np.eye(3), np.array([0.1, 0.0, 0.0])), np.diag([1e-5] * 6), 0.1)
 
 
@@ -63,7 +65,7 @@ def test_it_stays_sharp_on_odometry_while_images_are_coarse():
 
 
 def test_errors_of_the_network_are_not_those_of_landmarks():
-    """The lasting error that coarse images show is not taken away from verified places."""
+    """The correlated error that coarse images show is not taken away from verified places."""
     filtering = localizer()
     filtering.update(seen([0.4], [0.0]), None)
     for k in range(1, 30):

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from filtering.error_model import ErrorModel
+from filtering.measurement_noise import MeasurementNoise
 from filtering.se3 import Poses
 from tests.fuzz.damage import in_order
 from tests.fuzz.reading import NUM_IMAGES, Content, Reading, require
@@ -25,8 +25,8 @@ from vapor.landmarks.landmark_map import LandmarkMap, ViewCamera
 from vapor.landmarks.localize import LandmarkLocalizer
 from vapor.landmarks.verify import Landmarks
 from vapor.regressors.base import PoseRegressor
-from vapor.regressors.familiarity import Familiarity, description_size
 from vapor.regressors.network_config import NetworkConfig, make_regressor
+from vapor.regressors.ood_model import OodModel, description_size
 from vapor.regressors.retrieval import RetrievalRegressor
 from vapor.regressors.scene_box import SceneBox
 from vapor.training.processes import make_learner
@@ -111,14 +111,14 @@ def _checkpoint(*, retrieval: bool) -> Checkpoint:
         memory = regressor.memory
         assert memory is not None
         memory = replace(memory, keys=_numbers(memory.keys, rng), views=_numbers(memory.views, rng))
-    described = {"familiarity": Familiarity(*numbers, 0.5, 1.0), "camera": CAMERA, "memory": memory}
+    described = {"ood_model": OodModel(*numbers, 0.5, 1.0), "camera": CAMERA, "memory": memory}
     return Checkpoint(network, box, Calibration(), poses, regressor.state_dict(), **described)
 
 
 def make_model(folder: Path, *, retrieval: bool, landmarks: bool = False) -> Path:
     checkpoint = _checkpoint(retrieval=retrieval)
     if landmarks:
-        calibration = Calibration(errors=replace(ErrorModel(), verified=ErrorModel()))
+        calibration = Calibration(errors=replace(MeasurementNoise(), verified=MeasurementNoise()))
         checkpoint = replace(checkpoint, calibration=calibration, landmarks=_landmarks())
     save_checkpoint(folder / "model.safetensors", checkpoint, store_float16=True)
     return _in_order(folder / "model.safetensors")
@@ -133,7 +133,7 @@ def load_model(path: Path) -> Reading:
     loaded = load_checkpoint(path)
     content = Content()
     content.add(loaded.network, loaded.box, loaded.calibration, loaded.camera, loaded.training)
-    count = _add_arrays(content, dict(loaded.state_dict), loaded.prior_poses, loaded.familiarity, loaded.memory)
+    count = _add_arrays(content, dict(loaded.state_dict), loaded.prior_poses, loaded.ood_model, loaded.memory)
     if loaded.landmarks is not None:
         content.add(landmarks_config(loaded.landmarks))
         count += _add_arrays(content, dict(landmark_arrays(loaded.landmarks)))
@@ -163,7 +163,7 @@ def read_exported(path: Path) -> Reading:
     described = describe_onnx(path)
     content = Content()
     content.add(described.network, described.box, described.calibration, described.camera, described.training)
-    count = _add_arrays(content, described.prior_poses, described.familiarity, described.memory_poses)
+    count = _add_arrays(content, described.prior_poses, described.ood_model, described.memory_poses)
     return Reading(content.digest, count)
 
 

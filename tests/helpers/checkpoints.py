@@ -6,12 +6,12 @@ from functools import cache
 import numpy as np
 import torch
 
-from filtering.error_model import ErrorModel
+from filtering.measurement_noise import MeasurementNoise
 from filtering.se3 import Poses
 from vapor.checkpoints.calibration import Calibration
 from vapor.checkpoints.checkpoint import Checkpoint
-from vapor.regressors.familiarity import Familiarity, description_size
 from vapor.regressors.network_config import NetworkConfig, make_regressor
+from vapor.regressors.ood_model import OodModel, description_size
 from vapor.regressors.retrieval import Memory
 from vapor.regressors.scene_box import SceneBox
 from vapor.regressors.variational import VariationalPoseRegressor
@@ -24,7 +24,9 @@ def make_checkpoint(config: NetworkConfig = SMALL, num_poses: int = 30) -> Check
     torch.manual_seed(0)
     poses = Poses.exp(np.random.default_rng(0).standard_normal((num_poses, 6)))
     state = VariationalPoseRegressor(config, BOX).state_dict()
-    calibration = Calibration(0.2, 0.1, replace(ErrorModel(), tail=3.5, floor=(0.1, 0.2, 0.3, 0.01, 0.02, 0.03)))
+    calibration = Calibration(
+        0.2, 0.1, replace(MeasurementNoise(), degrees_of_freedom=3.5, noise_floor=(0.1, 0.2, 0.3, 0.01, 0.02, 0.03))
+    )
     return Checkpoint(config, BOX, calibration, poses, state, training={"data": ["a.mcap"], "seed": 3})
 
 
@@ -35,7 +37,7 @@ CONFIG = NetworkConfig(
 
 
 @cache
-def any_checkpoint(head: str = "variational", *, familiar: bool = True) -> Checkpoint:
+def any_checkpoint(head: str = "variational", *, in_distribution: bool = True) -> Checkpoint:
     """A model of that head; a retrieval network remembers thirty poses."""
     torch.manual_seed(0)
     config, rng = replace(CONFIG, head=head), np.random.default_rng(0)
@@ -47,14 +49,14 @@ def any_checkpoint(head: str = "variational", *, familiar: bool = True) -> Check
         places = torch.from_numpy(poses.translation).float(), torch.from_numpy(poses.rotation).float()
         memory = Memory(seen["keys"], seen["views"], *places)
     known = None
-    if familiar:
+    if in_distribution:
         size = description_size(config.backbone)
         parts = [
             rng.uniform(0.5, 1.0, shape).astype(np.float32) for shape in ((size,), (size,), (size, 4), (4,), (5, 4))
         ]
-        known = Familiarity(*parts, own_distance=1.0, threshold=2.0)
+        known = OodModel(*parts, own_distance=1.0, threshold=2.0)
     return Checkpoint(
-        config, BOX, Calibration(), poses, network.state_dict(), training={"seed": 3}, familiarity=known, memory=memory
+        config, BOX, Calibration(), poses, network.state_dict(), training={"seed": 3}, ood_model=known, memory=memory
     )
 
 

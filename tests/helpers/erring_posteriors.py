@@ -4,7 +4,7 @@ from functools import cache
 
 import numpy as np
 
-from filtering.error_model import ErrorModel
+from filtering.measurement_noise import MeasurementNoise
 from filtering.se3 import Poses
 from vapor.calibration.error_correlation import Travel
 from vapor.calibration.image_errors import fit_errors
@@ -12,7 +12,9 @@ from vapor.calibration.places import Observations
 from vapor.checkpoints.scene_scale import default_errors
 
 ROOM = np.array([10.0, 6.0, 2.0])
-TRUE = ErrorModel(spread=2.0, floor=(0.05, 0.1, 0.03, 0.02, 0.03, 0.02), tail=5.0, outlier_probability=0.1)
+TRUE = MeasurementNoise(
+    spread=2.0, noise_floor=(0.05, 0.1, 0.03, 0.02, 0.03, 0.02), degrees_of_freedom=5.0, outlier_probability=0.1
+)
 UNIT = np.repeat([1.0, 0.5], 3)
 
 
@@ -27,27 +29,27 @@ def apart(count: int) -> Travel:
 
 
 def posteriors(
-    truth: Poses, errors: ErrorModel, normal: np.ndarray, *, rng: np.random.Generator, num_samples: int = 80
+    truth: Poses, errors: MeasurementNoise, normal: np.ndarray, *, rng: np.random.Generator, num_samples: int = 80
 ):
     """Samples of images whose places have these errors (n, 6), in standard deviations."""
     samples = []
     for i, own in enumerate(normal):
         spread = 0.06 * UNIT * np.exp(rng.normal(0.0, 0.8))  # of the samples
-        xi = np.sqrt(errors.spread * np.square(spread) + np.square(errors.floor)) * own
+        xi = np.sqrt(errors.spread * np.square(spread) + np.square(errors.noise_floor)) * own
         centre = anywhere(1, rng=rng)[0] if rng.random() < errors.outlier_probability else truth[i] @ Poses.exp(-xi)
         samples.append(centre @ Poses.exp(spread * rng.standard_normal((num_samples, 6))))
     return samples
 
 
-def student(count: int, tail: float, *, rng: np.random.Generator) -> np.ndarray:
-    return rng.standard_normal((count, 6)) * np.sqrt(tail / rng.chisquare(tail, (count, 1)))
+def student(count: int, degrees_of_freedom: float, *, rng: np.random.Generator) -> np.ndarray:
+    return rng.standard_normal((count, 6)) * np.sqrt(degrees_of_freedom / rng.chisquare(degrees_of_freedom, (count, 1)))
 
 
 @cache
 def simulated(count: int = 400):
     rng = np.random.default_rng(0)
     truth = anywhere(count, rng=rng)
-    return posteriors(truth, TRUE, student(count, TRUE.tail, rng=rng), rng=rng), truth
+    return posteriors(truth, TRUE, student(count, TRUE.degrees_of_freedom, rng=rng), rng=rng), truth
 
 
 def fit(samples, truth, travel=None, before=None, *, score=None, trained=None):

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from filtering.error_model import ErrorModel
+from filtering.measurement_noise import MeasurementNoise
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from sequences.options import ReadingOptions
@@ -41,7 +41,7 @@ class KnowingModel(VaporObservationModel):
 
     def __init__(self, places: int = 1, seconds: float = 0.0) -> None:
         self.places, self.seconds = places, seconds
-        calibration = SimpleNamespace(errors=ErrorModel(), odometry=None)
+        calibration = SimpleNamespace(errors=MeasurementNoise(), odometry=None)
         self.description: Any = SimpleNamespace(calibration=calibration, prior_poses=Poses.identity(3))
         self.verifier = None
 
@@ -59,7 +59,7 @@ class KnowingModel(VaporObservationModel):
         seen = [truth if n == 0 else ELSEWHERE @ truth for n in range(self.places)]
         noise = Poses.exp(rng.normal(0.0, 0.005, (200, 6)))
         samples = Poses.concatenate([Poses.stack([pose] * 200) @ noise for pose in seen])
-        return PosePosterior.from_samples(samples, ErrorModel())
+        return PosePosterior.from_samples(samples, MeasurementNoise())
 
 
 @dataclass

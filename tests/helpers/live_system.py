@@ -74,17 +74,17 @@ def script_of(recording: Path, *, rate: float = 1.0, gate: str | None = "/estima
     }
 
 
-def run_node(python: Path, script: Mapping[str, Any], folder: Path, domain: int, *, timeout_s: float) -> "Heard":
+def run_node(python: Path, script: Mapping[str, Any], folder: Path, domain: int, *, timeout_s: float) -> "Received":
     """Run a node by a script, to its end."""
     given, heard = folder / "script.pickle", folder / "heard.pickle"
     given.write_bytes(pickle.dumps(dict(script)))
     clean = {name: value for name, value in os.environ.items() if not name.startswith(("ROS_", "_ROS", "LD_LIBRARY"))}
     env = {**clean, "ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     subprocess.run([python, NODE, given, heard], env=env, check=True, timeout=timeout_s)
-    return Heard(script, pickle.loads(heard.read_bytes()))
+    return Received(script, pickle.loads(heard.read_bytes()))
 
 
-class Heard:
+class Received:
     """The messages that a node received."""
 
     def __init__(self, script: Mapping[str, Any], result: Mapping[str, Any]) -> None:

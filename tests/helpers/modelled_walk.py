@@ -1,4 +1,4 @@
-"""Walks whose images and odometry err exactly as the error model says, or more, past copies of the true place."""
+"""Walks whose images and odometry err exactly as the measurement noise says, or more, past copies of the true place."""
 
 from dataclasses import dataclass, replace
 from functools import cache
@@ -6,21 +6,21 @@ from functools import cache
 import numpy as np
 
 from filtering.adaptation import ErrorScale
-from filtering.error_model import ErrorModel
-from filtering.motion import Odometry, SlowErrors
+from filtering.measurement_noise import MeasurementNoise
+from filtering.motion import Odometry, OdometryBias
 from filtering.novelty import NoveltyTracker
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from tests.helpers.simulation import motion
 
-ERRORS = ErrorModel(
-    floor=(0.1, 0.1, 0.1, 0.05, 0.05, 0.05),
+ERRORS = MeasurementNoise(
+    noise_floor=(0.1, 0.1, 0.1, 0.05, 0.05, 0.05),
     typical_std=(0.1, 0.1, 0.1, 0.05, 0.05, 0.05),
-    tail=1e6,
+    degrees_of_freedom=1e6,
     constant_fraction=1e-9,
     outlier_probability=1e-3,
 )
-SLOW = SlowErrors(scale=0.03, relative_drift=1.0)
+BIAS = OdometryBias(scale=0.03, relative_drift=1.0)
 ODOMETRY_STD = np.array([0.004] * 3 + [0.002] * 3)
 
 
@@ -34,13 +34,13 @@ class Walk:
     distances: np.ndarray
 
 
-def walk(num_images, *, rng, lifts=lambda i: (0.0,), errors=ERRORS, slow=SLOW, speed_m=0.05, unit=1.0):
+def walk(num_images, *, rng, lifts=lambda i: (0.0,), errors=ERRORS, slow=BIAS, speed_m=0.05, unit=1.0):
     """A walk along a wavy line. `lifts` of an image: heights of equally possible places above the true one, metres.
 
     Lengths are in metres times `unit`; the same generator gives the same walk in any unit.
     """
     errors, lengths = errors.scaled(unit), np.array([unit] * 3 + [1.0] * 3)
-    std = np.asarray(errors.floor)
+    std = np.asarray(errors.noise_floor)
     scale, drift = slow.scale * rng.standard_normal(), rng.standard_normal(6)
     bias, tracker = rng.standard_normal(6), NoveltyTracker(errors.length_m, errors.length_rad)
     truth, odometry, posteriors, distances = [Poses.identity()], [None], [], [0.0]
@@ -60,7 +60,7 @@ def walk(num_images, *, rng, lifts=lambda i: (0.0,), errors=ERRORS, slow=SLOW, s
             distances.append(distance)
             bias = np.exp(-distance) * bias + np.sqrt(-np.expm1(-2 * distance)) * rng.standard_normal(6)
         fresh = rng.standard_normal(6)
-        error = std * (np.sqrt(errors.lasting_fraction) * bias + np.sqrt(1 - errors.lasting_fraction) * fresh)
+        error = std * (np.sqrt(errors.correlated_fraction) * bias + np.sqrt(1 - errors.correlated_fraction) * fresh)
         seen = truth[-1] @ Poses.exp(error)
         heights = unit * np.asarray(lifts(i))
         lift = heights[:, None] * np.array([0.0, 0.0, 1.0])

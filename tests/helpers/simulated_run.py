@@ -1,4 +1,4 @@
-"""A walk up a staircase of equal floors, localized by a filter that is simulated: what reports are tested on."""
+"""A walk up a staircase of equal storeys, localized by a filter that is simulated: what reports are tested on."""
 
 import numpy as np
 
@@ -14,9 +14,9 @@ FLOOR_M = 3.0
 CAMERA = Camera(width=160, height=120, fx=120.0, fy=120.0, cx=79.5, cy=59.5)
 
 
-def true_walk(count: int, *, floors: int = 5, height_m: float = FLOOR_M) -> Poses:
-    """Poses up a stairwell: two flights a floor, the camera looking along its way."""
-    turn = np.linspace(0.0, 2 * np.pi * (floors - 1), count)
+def true_walk(count: int, *, storeys: int = 5, height_m: float = FLOOR_M) -> Poses:
+    """Poses up a stairwell: two flights a storey, the camera looking along its way."""
+    turn = np.linspace(0.0, 2 * np.pi * (storeys - 1), count)
     translation = np.stack([1.2 * np.cos(turn), 2.0 * np.sin(turn), 1.6 + height_m * turn / (2 * np.pi)], axis=1)
     translation[:, 2] += 0.03 * np.sin(9 * turn)
     yaw = turn + np.pi / 2
@@ -26,7 +26,7 @@ def true_walk(count: int, *, floors: int = 5, height_m: float = FLOOR_M) -> Pose
 
 
 def simulated_steps(count=200, *, seed=0, with_truth=True, with_odometry=True, start_ns=1_700_000_000_000_000_000):
-    """Yield (frame, step): the belief is on five floors until a third of the way. There are no baselines."""
+    """Yield (frame, step): the belief is on five storeys until a third of the way. There are no baselines."""
     rng = np.random.default_rng(seed)
     truth = true_walk(count)
     v, u = np.mgrid[:120, :160]
@@ -39,25 +39,25 @@ def simulated_steps(count=200, *, seed=0, with_truth=True, with_odometry=True, s
         frame = Frame(start_ns + i * 100_000_000, image, odometry, truth[i] if with_truth else None, CAMERA)
         belief = max(0.0, 1.0 - i / (0.33 * count))
         weights = np.array([belief / 5] * 5)
-        floor = int(np.clip(round((truth[i].translation[2] - 1.6) / FLOOR_M), 0, 4))
-        weights[floor] += 1.0 - belief
+        storey = int(np.clip(round((truth[i].translation[2] - 1.6) / FLOOR_M), 0, 4))
+        weights[storey] += 1.0 - belief
         wrong = rng.choice(5, p=np.full(5, 0.2))
-        single = _moved(truth[i], FLOOR_M * (wrong - floor) if rng.random() < 0.6 else 0.0, 0.08, rng)
+        single = _moved(truth[i], FLOOR_M * (wrong - storey) if rng.random() < 0.6 else 0.0, 0.08, rng)
         which = rng.choice(5, size=500, p=weights / weights.sum())
-        particles = _moved(truth[np.full(500, i)], FLOOR_M * (which - floor), 0.12, rng)
-        best = int(np.argmax(weights)) if belief < 0.5 else (floor + 2 + i // 25) % 5
+        particles = _moved(truth[np.full(500, i)], FLOOR_M * (which - storey), 0.12, rng)
+        best = int(np.argmax(weights)) if belief < 0.5 else (storey + 2 + i // 25) % 5
         order = [best, *(f for f in np.argsort(-weights) if f != best and weights[f] > 0.02)]
         covariance = np.diag([0.01] * 3 + [0.003] * 3)
         modes = tuple(
-            Mode(_moved(truth[i], FLOOR_M * (f - floor), 0.03, rng), covariance, float(weights[f])) for f in order
+            Mode(_moved(truth[i], FLOOR_M * (f - storey), 0.03, rng), covariance, float(weights[f])) for f in order
         )
         status = "converged" if weights.max() > 0.8 else "lost" if i < 6 else "ambiguous"
         log_weights = np.full(500, -np.log(500))
         covariances = np.broadcast_to(np.diag([1e-6] * 6), (500, 6, 6))
-        agreement, unfamiliarity = 1.0 - 0.5 * belief, 0.1 * rng.random()
-        estimate = Estimate(modes, status, particles, covariances, log_weights, agreement, 0.1, 0.1, unfamiliarity)
+        agreement, ood_score = 1.0 - 0.5 * belief, 0.1 * rng.random()
+        estimate = Estimate(modes, status, particles, covariances, log_weights, agreement, 0.1, 0.1, ood_score)
         places = (Mode(single, covariance, 1.0),)
-        yield frame, Step(PosePosterior.nothing(), estimate, places, (), {}, 20.0 + rng.random())
+        yield frame, Step(PosePosterior.uninformative(), estimate, places, (), {}, 20.0 + rng.random())
 
 
 def simulated_record(count=200, **options) -> RunRecord:

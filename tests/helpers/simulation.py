@@ -1,4 +1,4 @@
-"""Simulated walks with posteriors whose errors follow the error model: the filter without a network."""
+"""Simulated walks with posteriors whose errors follow the measurement noise: the filter without a network."""
 
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -7,9 +7,9 @@ import numpy as np
 
 from filtering.association import Correlation, correct, evidence, gate
 from filtering.config import LocalizerConfig
-from filtering.error_model import ErrorModel
 from filtering.hypotheses import Hypotheses
 from filtering.localizer import ParticleLocalizer
+from filtering.measurement_noise import MeasurementNoise
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
@@ -18,7 +18,7 @@ from sequences.frame import Frame
 FLOOR_HEIGHT_M = 3.0
 ODOMETRY_STD = np.array([0.005] * 3 + [0.003] * 3)
 POSTERIOR_STD = np.array([0.15] * 3 + [0.1] * 3)
-ERRORS = ErrorModel()
+ERRORS = MeasurementNoise()
 STD = np.array([0.1, 0.1, 0.1, 0.05, 0.05, 0.05])
 STILL = Poses.identity()
 
@@ -34,11 +34,11 @@ def lifted(pose, heights_m):
     return Poses(np.repeat(pose.rotation[None], len(lift), 0), pose.translation + lift)
 
 
-def seen_at(means, shares=(1.0,), *, std=STD, errors=ERRORS, unfamiliarity=0.0):
+def seen_at(means, shares=(1.0,), *, std=STD, errors=ERRORS, ood_score=0.0):
     """The posterior whose places are at these poses (k,), each with the same standard deviations."""
     means = Poses(means.rotation.reshape(-1, 3, 3), means.translation.reshape(-1, 3))
     covariances = np.repeat(np.diag(np.square(std))[None], len(means), 0)
-    return PosePosterior(means, covariances, np.array(shares, np.float64), errors, means, unfamiliarity)
+    return PosePosterior(means, covariances, np.array(shares, np.float64), errors, means, ood_score)
 
 
 def wandering(distances, size, *, rng):
@@ -51,11 +51,11 @@ def wandering(distances, size, *, rng):
 
 
 def image_errors(distances, errors, *, std=STD, rng):
-    """Errors ξ (n, 6) of images at normalized distances from the one before: lasting and fresh ones."""
-    lasting = wandering(distances, 6, rng=rng)
+    """Errors ξ (n, 6) of images at normalized distances from the one before: correlated and fresh ones."""
+    correlated = wandering(distances, 6, rng=rng)
     fresh = rng.standard_normal((len(distances) + 1, 6))
-    share = errors.lasting_fraction
-    return std * (np.sqrt(share) * lasting + np.sqrt(1.0 - share) * fresh)
+    share = errors.correlated_fraction
+    return std * (np.sqrt(share) * correlated + np.sqrt(1.0 - share) * fresh)
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ STAY = motion(0, 0, 0, 0, 0, 0)
 
 AHEAD = motion(0.1, 0, 0, 0, 0, 0.02)
 
-FOREIGN = PosePosterior(Poses.identity(0), np.zeros((0, 6, 6)), np.zeros(0), ERRORS, Poses.identity(0), 3.0)
+OUT_OF_DISTRIBUTION = PosePosterior(Poses.identity(0), np.zeros((0, 6, 6)), np.zeros(0), ERRORS, Poses.identity(0), 3.0)
 
 
 def new_localizer(seed=0, **settings):

@@ -47,11 +47,11 @@ def program(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def model(tmp_path_factory):
-    """A model that knows the camera of its training and what is familiar, whose edge is longer than its image's; its
+    """A model that knows the camera of its training and an OOD model, whose edge is longer than its image's; its
     file."""
     checkpoint = replace(any_checkpoint("variational"), camera=LEARNED)
-    axes = np.linalg.qr(checkpoint.familiarity.axes)[0]  # so that something of an image is left over
-    checkpoint = replace(checkpoint, familiarity=replace(checkpoint.familiarity, axes=axes))
+    axes = np.linalg.qr(checkpoint.ood_model.axes)[0]  # so that something of an image is left over
+    checkpoint = replace(checkpoint, ood_model=replace(checkpoint.ood_model, axes=axes))
     checkpoint = replace(checkpoint, network=replace(checkpoint.network, shortest_edge=37))
     file = tmp_path_factory.mktemp("exported") / "m.onnx"
     export_onnx(checkpoint, file)
@@ -88,8 +88,8 @@ def test_the_program_sees_and_says_what_the_package_does(camera, program, model)
     np.testing.assert_allclose(translation, expected.translation, atol=1e-4)
     np.testing.assert_allclose(rotation, expected.rotation, atol=1e-4)
     posterior = ours.observe(image, rng=np.random.default_rng(2))
-    assert score == pytest.approx(posterior.unfamiliarity, rel=1e-4)
-    assert (score == 1.0) == (camera == "narrower")  # which sees too little to call an image foreign
+    assert score == pytest.approx(posterior.ood_score, rel=1e-4)
+    assert (score == 1.0) == (camera == "narrower")  # which sees too little to call an image out of distribution
     if taken_by is not None:
         resized, _ = page["as_learned"](image, camera_fields, vars(LEARNED), checkpoint.network.frame_size)
         np.testing.assert_array_equal(page["prepared"](resized, loaded[1]["network"]), seen)
@@ -107,7 +107,7 @@ def test_the_program_is_run_from_the_command_line(program, model, tmp_path, monk
     cv2.imwrite(str(tmp_path / "image.png"), an_image(160, 128))
     monkeypatch.setattr(sys, "argv", ["posterior.py", str(model[1]), str(tmp_path / "image.png")])
     runpy.run_path(str(program), run_name="__main__")
-    assert re.fullmatch(r"mean \[.*\] m, spread \[.*\] m, unfamiliarity \d+\.\d\d\n", capsys.readouterr().out)
+    assert re.fullmatch(r"mean \[.*\] m, spread \[.*\] m, ood_score \d+\.\d\d\n", capsys.readouterr().out)
 
 
 def test_the_page_says_how_much_noise_every_head_takes():

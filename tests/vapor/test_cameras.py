@@ -19,7 +19,7 @@ from vapor.cameras import AsTakenBy, fraction_seen, resampled
 from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
 from vapor.observation import VaporObservationModel
 from vapor.regressors.backbones import Describer
-from vapor.regressors.familiarity import Familiarity
+from vapor.regressors.ood_model import OodModel
 from vapor.tensor_files import CheckpointError
 from vapor.training.train import train_on
 from vapor.training_data.load import load_training_set
@@ -111,13 +111,13 @@ def test_what_is_filled_in_makes_no_image_foreign() -> None:
         count = describer.last(seen).shape[1]
     numbers = np.zeros(count, np.float32)
     far = np.full((1, 1), 1e6, np.float32)  # from all that is learned
-    known = Familiarity(numbers, numbers + 1, np.eye(count, 1, dtype=np.float32), numbers[:1] + 1, far, 1.0, 1.0)
-    model = VaporObservationModel(replace(checkpoint, familiarity=known), num_samples=5, device="cpu")
-    for closer, foreign in ((1.05, True), (1.4, False)):
+    known = OodModel(numbers, numbers + 1, np.eye(count, 1, dtype=np.float32), numbers[:1] + 1, far, 1.0, 1.0)
+    model = VaporObservationModel(replace(checkpoint, ood_model=known), num_samples=5, device="cpu")
+    for closer, unlike in ((1.05, True), (1.4, False)):
         narrow = replace(A, fx=closer * A.fx, fy=closer * A.fy)
         posterior = model.seen_by(narrow).observe(taken_by(narrow), rng=np.random.default_rng(0))
-        assert posterior.is_foreign == foreign
-        assert posterior.unfamiliarity > 1e3 if foreign else posterior.unfamiliarity == 1.0
+        assert posterior.is_out_of_distribution == unlike
+        assert posterior.ood_score > 1e3 if unlike else posterior.ood_score == 1.0
 
 
 # --- the model file --------------------------------------------------------------------------------

@@ -6,13 +6,13 @@ import torch
 from scipy.signal import find_peaks
 
 from filtering.config import LocalizerConfig
-from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError
-from filtering.floors import Floors
 from filtering.localizer import ParticleLocalizer
+from filtering.measurement_noise import MeasurementNoise
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
+from filtering.storeys import Storeys
 from tests.helpers.checkpoints import BOX
 from tests.helpers.observing import CONFIG, IMAGE, MODEL, observe, uncalibrated
 from vapor.checkpoints.calibration import Calibration
@@ -90,13 +90,13 @@ def test_what_is_no_rgb_image_is_refused(shape, dtype):
 
 
 def test_the_calibration_says_what_is_a_place_and_how_it_errs():
-    errors = ErrorModel(radius_m=0.8, radius_rad=0.6, spread=1.5, floor=(0.1, 0.2, 0.3, 0.01, 0.02, 0.03))
+    errors = MeasurementNoise(radius_m=0.8, radius_rad=0.6, spread=1.5, noise_floor=(0.1, 0.2, 0.3, 0.01, 0.02, 0.03))
     checkpoint = replace(uncalibrated(), calibration=Calibration(errors=errors))
     posterior = observe(IMAGE, model=VaporObservationModel(checkpoint, num_samples=50, device="cpu"))
     expected = PosePosterior.from_samples(observe(IMAGE).samples, errors)
     np.testing.assert_array_equal(posterior.means.as_matrix(), expected.means.as_matrix())
     np.testing.assert_array_equal(posterior.covariances, expected.covariances)
-    assert (posterior.errors, posterior.unfamiliarity) == (errors, 0.0)
+    assert (posterior.errors, posterior.ood_score) == (errors, 0.0)
 
 
 def test_a_model_file_observes_as_the_checkpoint_it_was_saved_from(tmp_path):
@@ -107,14 +107,14 @@ def test_a_model_file_observes_as_the_checkpoint_it_was_saved_from(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["staircase", "ceiling"])
-def test_the_floors_of_the_models_that_ship_are_those_that_the_peaks_of_scipy_give(name, monkeypatch):
+def test_the_storeys_of_the_models_that_ship_are_those_that_the_peaks_of_scipy_give(name, monkeypatch):
     poses = load_checkpoint(find_model(name)).prior_poses
-    found = Floors.found_in(poses)
+    found = Storeys.found_in(poses)
     monkeypatch.setattr(
-        "filtering.floors.peaks_of",
+        "filtering.storeys.peaks_of",
         lambda values, apart: find_peaks(np.concatenate([[0.0], values, [0.0]]), distance=apart)[0] - 1,
     )
-    assert found == Floors.found_in(poses)
+    assert found == Storeys.found_in(poses)
     assert (found is not None) == (name == "staircase")
 
 

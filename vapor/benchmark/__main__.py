@@ -11,7 +11,7 @@ COMMANDS = {
     "step": "time the parts of a step: decoding, network, landmarks, filter",
     "localization": "localize many synthetic sequences, and count successes",
     "faults": "localize walks in which the camera or the odometry fails: synthetic sequences, or recordings",
-    "familiarity": "count images of a place that are flagged as foreign, and foreign ones that are not",
+    "out-of-distribution": "count images of a place that are flagged as out of distribution, and others that are not",
     "real": "localize recordings made by others: images, stored posteriors, and published estimates",
     "live": "measure `vapor-track live`: time from images and odometry to poses, memory, processor time",
     "live-faults": "let faults happen to a robot that `vapor-track live` follows",

@@ -12,14 +12,14 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
 from filtering.estimate import Mode
-from filtering.floors import Floors
 from filtering.se3 import Poses
+from filtering.storeys import Storeys
 from sequences.frame import Trajectory
 from vapor.evaluation.consistency import evaluate_belief, truth_among_modes
-from vapor.evaluation.floors import evaluate_floor, floor_accuracy
+from vapor.evaluation.storeys import evaluate_storey, storey_accuracy
 from vapor.evaluation.trajectory import evaluate_trajectory
 from vapor.tracking.ablations import ABLATIONS, Ablation
-from vapor.tracking.follow import Followed, Passage, follow
+from vapor.tracking.follow import Followed, Segment, follow
 from vapor.tracking.loop import Belief
 from vapor.tracking.methods import BASELINES, METHODS, in_order
 
@@ -64,7 +64,7 @@ def _scaled_belief(belief: Belief, factor: float) -> Belief:
 
 @dataclass(frozen=True)
 class Comparison:
-    """What every method made of a passage of n images.
+    """What every method made of a segment of n images.
 
     Attributes:
         poses: Poses of every method by its name in `METHODS`, world_from_camera, batches (n,).
@@ -88,21 +88,21 @@ class Comparison:
         self,
         images: Bool[np.ndarray, " n"] | None = None,
         *,
-        floor_height_m: float | None = None,
-        floors: Floors | None = None,
+        storey_height_m: float | None = None,
+        storeys: Storeys | None = None,
     ) -> dict[str, Any]:
         """What every method was worth, as JSON.
 
         Args:
             images: Which images count, at least one; None for all.
-            floor_height_m: From floor to floor, in the unit of the poses, where floors look alike.
-            floors: Of the building, where there are several, in the unit of the poses.
+            storey_height_m: From storey to storey, in the unit of the poses, where storeys look alike.
+            storeys: Of the building, where there are several, in the unit of the poses.
 
         Returns:
             `images`, `methods` (see `evaluate_trajectory`), `belief` of the baselines and of the filter (see
             `evaluate_belief`), `image_truth_among_modes` (of the single images' posteriors), `particles` and `step_ms`.
-            Where floors look alike, `methods` have `floor` (see `evaluate_floor`), and `belief` has `on_floor`. Where
-            there are several, `methods` have `floor_accuracy`.
+            Where storeys look alike, `methods` have `storey` (see `evaluate_storey`), and `belief` has `on_storey`.
+            Where there are several, `methods` have `storey_accuracy`.
         """
         every = np.ones(len(self.times_ns), bool)
         at = np.flatnonzero(every if images is None else images)
@@ -116,12 +116,12 @@ class Comparison:
             )
             for name, poses in in_order(self.poses).items()
         }
-        if floor_height_m is not None:
+        if storey_height_m is not None:
             for name, each in methods.items():
-                each["floor"] = evaluate_floor(self.poses[name][at], truth, floor_height_m)
-        if floors is not None:
+                each["storey"] = evaluate_storey(self.poses[name][at], truth, storey_height_m)
+        if storeys is not None:
             for name, each in methods.items():
-                each["floor_accuracy"] = floor_accuracy(self.poses[name][at], truth, floors)
+                each["storey_accuracy"] = storey_accuracy(self.poses[name][at], truth, storeys)
         belief = {
             name: evaluate_belief(
                 Belief([each.modes[i] for i in at.tolist()], [each.status[i] for i in at.tolist()]),
@@ -129,7 +129,7 @@ class Comparison:
                 truth,
                 converged_at_s=methods[name].get("converged_at_s"),
                 kidnap_index=self.kidnap_index,
-                floor_height_m=floor_height_m,
+                storey_height_m=storey_height_m,
             )
             for name, each in self.beliefs.items()
         }
@@ -154,10 +154,10 @@ class Comparison:
 
 
 def compare(followed: Followed) -> Comparison:
-    """Every method over a passage: those that went from image to image, and those that see it as a whole."""
+    """Every method over a segment: those that went from image to image, and those that see it as a whole."""
     return Comparison(
-        followed.passage.times_ns,
-        followed.passage.truth,
+        followed.segment.times_ns,
+        followed.segment.truth,
         followed.poses | followed.poses_at_end(),
         followed.beliefs,
         followed.image_modes,
@@ -183,7 +183,7 @@ def succeeds(poses: Poses, truth: Poses) -> dict[str, bool]:
     return {name: bool((error_m < limit_m).all()) for name, limit_m in SUCCESS_M.items()}
 
 
-def starts_of_sequences(passage: Passage, length: int, images: Bool[np.ndarray, " n"]) -> Iterator[int]:
+def starts_of_sequences(segment: Segment, length: int, images: Bool[np.ndarray, " n"]) -> Iterator[int]:
     """First images of sequences without a common image, in order.
 
     Args:
@@ -193,12 +193,12 @@ def starts_of_sequences(passage: Passage, length: int, images: Bool[np.ndarray, 
         The earliest ones whose sequence has odometry all along, and whose first image has a place.
     """
     start = 0
-    while start + length <= len(passage.times_ns):
+    while start + length <= len(segment.times_ns):
         unknown = [i for i in range(start, start + length) if not images[i]]
-        breaks = [i for i in range(start + 1, start + length) if passage.odometry[i] is None]
+        breaks = [i for i in range(start + 1, start + length) if segment.odometry[i] is None]
         if unknown or breaks:
             start = max([i + 1 for i in unknown] + breaks)
-        elif len(passage.posterior(start).weights) == 0:
+        elif len(segment.posterior(start).weights) == 0:
             start += 1
         else:
             yield start
@@ -214,12 +214,12 @@ def evaluate_sequences(
     ablation: Ablation = ABLATIONS["full"],
     baselines: Collection[str] = BASELINES,
 ) -> dict[str, dict[str, Any]]:
-    """Cut a passage into sequences, start filter and baselines in each, and count those that succeed.
+    """Cut a segment into sequences, start filter and baselines in each, and count those that succeed.
 
-    Posteriors of images are those of the whole passage; no state of a filter is kept.
+    Posteriors of images are those of the whole segment; no state of a filter is kept.
 
     Args:
-        followed: The passage, with the errors and the settings of its filter.
+        followed: The segment, with the errors and the settings of its filter.
         images: Which images may be in a sequence, (n,); None for all.
         unit_m: Limits are in units of so many metres.
 
@@ -227,8 +227,8 @@ def evaluate_sequences(
         For each of `LENGTHS` the number of `sequences`, and `success`: by method, of the single image, the baselines
         and the filter, the fraction of them that succeed within each of `SUCCESS_M`; None if there are no sequences.
     """
-    whole = Passage(
-        followed.passage.times_ns, followed.passage.odometry, followed.passage.truth, cache(followed.passage.posterior)
+    whole = Segment(
+        followed.segment.times_ns, followed.segment.odometry, followed.segment.truth, cache(followed.segment.posterior)
     )
     allowed = np.ones(len(whole.times_ns), bool) if images is None else images
     figures: dict[str, dict[str, Any]] = {}

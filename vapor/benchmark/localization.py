@@ -178,11 +178,11 @@ def _method(metrics: Results, walks: Walks) -> dict[str, Any]:
         total["recall_after_convergence"] = {
             name: _mean([each["recall"][name] for each in after], images) for name in THRESHOLDS
         }
-    if "floor_accuracy" in metrics[0]:
-        accuracies = [each["floor_accuracy"] for each in metrics]
-        total["floor_accuracy"], intervals["floor_accuracy"] = _mean(accuracies), walks.mean(accuracies)
-    if "floor" in metrics[0]:
-        total["floor"] = _floor([each["floor"] for each in metrics], walks)
+    if "storey_accuracy" in metrics[0]:
+        accuracies = [each["storey_accuracy"] for each in metrics]
+        total["storey_accuracy"], intervals["storey_accuracy"] = _mean(accuracies), walks.mean(accuracies)
+    if "storey" in metrics[0]:
+        total["storey"] = _storey([each["storey"] for each in metrics], walks)
     return total
 
 
@@ -206,10 +206,10 @@ def _sequences(parts: Results, walks: Walks) -> dict[str, Any]:
     }
 
 
-def _floor(floors: Results, walks: Walks) -> dict[str, Any]:
-    """How many of all images are right but for the floor, and how many are right once the floor is."""
-    but_for_it = [floor["but_for_it"] for floor in floors]
-    right, images = [floor["settled_right"] for floor in floors], [floor["settled_images"] for floor in floors]
+def _storey(storeys: Results, walks: Walks) -> dict[str, Any]:
+    """How many of all images are right but for the storey, and how many are right once the storey is."""
+    but_for_it = [storey["but_for_it"] for storey in storeys]
+    right, images = [storey["settled_right"] for storey in storeys], [storey["settled_images"] for storey in storeys]
     return {
         "but_for_it": _mean(but_for_it),
         "settled_images": sum(images),
@@ -227,7 +227,7 @@ def _belief(beliefs: Results, images: Sequence[int], walks: Walks) -> dict[str, 
             name: _mean([belief["status"][name] for belief in beliefs], images) for name in beliefs[0]["status"]
         },
         "rightly_converged": _mean(right, images),
-        "said_converged": _consistency([belief["said_converged"] for belief in beliefs], walks),
+        "converged_images": _consistency([belief["converged_images"] for belief in beliefs], walks),
         "after_convergence": _consistency([belief["after_convergence"] for belief in beliefs], walks),
         "truth_among_modes": _mean([belief["truth_among_modes"] for belief in beliefs], images),
         "false_recoveries": sum(false_recoveries),
@@ -240,8 +240,8 @@ def _belief(beliefs: Results, images: Sequence[int], walks: Walks) -> dict[str, 
             "runs_wrongly_converged": walks.number([fraction > 0 for fraction in wrong]),
         },
     }
-    if "on_floor" in beliefs[0]:
-        total["on_floor"] = _consistency([belief["on_floor"] for belief in beliefs], walks)
+    if "on_storey" in beliefs[0]:
+        total["on_storey"] = _consistency([belief["on_storey"] for belief in beliefs], walks)
     kidnaps = [belief["kidnap"] for belief in beliefs if belief["kidnap"] is not None]
     if kidnaps:
         needed = [kidnap["images"] for kidnap in kidnaps if kidnap["images"] is not None]
@@ -276,7 +276,7 @@ def _consistency(parts: Results, walks: Walks) -> dict[str, Any]:
 
 def _wrong_fraction(belief: Mapping[str, Any]) -> float:
     """Fraction of all images of a run that are `converged` and wrong."""
-    return belief["status"]["converged"] * (belief["said_converged"]["wrong"] or 0.0)
+    return belief["status"]["converged"] * (belief["converged_images"]["wrong"] or 0.0)
 
 
 def _recovered(belief: Mapping[str, Any]) -> bool:

@@ -1,1 +1,1 @@
-"""Errors and familiarity of a trained network, fitted on held-out images."""
+"""Errors and ood_model of a trained network, fitted on held-out images."""

@@ -11,21 +11,21 @@ import torch
 from scipy.optimize import minimize
 
 from filtering.density import KernelDensity
-from filtering.error_model import Six
+from filtering.measurement_noise import Six
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.odometry_fit.fit import fit_odometry
 from sequences.odometry_fit.pieces import LEAST_INCREMENTS
 from sequences.odometry_fit.result import OdometryFit
 from vapor.calibration.error_correlation import Travel
-from vapor.calibration.familiarity import EXEMPLARS, extract_features
 from vapor.calibration.image_errors import LEAST_IMAGES, LEAST_OUTLIERS, Change, fit_errors
+from vapor.calibration.ood_model import EXEMPLARS, extract_features
 from vapor.calibration.places import Observations
 from vapor.checkpoints.calibration import Calibration
-from vapor.checkpoints.scene_scale import flat_log_density, scene_extent, spaced
+from vapor.checkpoints.scene_scale import log_clutter_density, scene_extent, spaced
 from vapor.evaluation.validation import predict
 from vapor.regressors.base import PoseRegressor
-from vapor.regressors.familiarity import Familiarity
+from vapor.regressors.ood_model import OodModel
 from vapor.threads import limited_threads
 from vapor.training_data.ground import odometry_segments, pass_numbers, some_runs
 from vapor.training_data.training_set import TrainingSet
@@ -55,7 +55,7 @@ def fit_widths(
     apart = [poses.distance(truth[i]) for i, poses in enumerate(samples)]
     squared_m2 = np.array([np.square(metres) for metres, _ in apart], np.float32)
     squared_chord = np.array([2 - 2 * np.cos(radians) for _, radians in apart], np.float32)
-    extent, log_flat = scene_extent(scene), np.log(LEAST_OUTLIERS) + flat_log_density(scene)
+    extent, log_flat = scene_extent(scene), np.log(LEAST_OUTLIERS) + log_clutter_density(scene)
     n, m = squared_m2.shape
 
     def score(widths: tuple[float, float]) -> float:
@@ -128,7 +128,7 @@ def calibrate(
     calibration: Calibration,
     *,
     training: TrainingSet | None = None,
-    familiarity: Familiarity | None = None,
+    ood_model: OodModel | None = None,
     same_conditions: bool = False,
     max_images: int,
     seed: int,
@@ -142,7 +142,7 @@ def calibrate(
         prior_poses: The model's, (n,): they outline the scene.
         calibration: Initial values, kept where there is too little data.
         training: Its training data; their odometry is used where the held-out data have too little of it.
-        familiarity: Scores how unfamiliar images are; errors grow with the score.
+        ood_model: Scores images; errors grow with the score.
         same_conditions: Whether held-out images show the light and season of use; else mistakes about the place are
             taken to last longer than on them.
         max_images: Number of images that are used, at most; of the odometry all is used.
@@ -158,7 +158,7 @@ def calibrate(
         return CalibrationResult(calibration, odometry=source, notes=(note,))
     chosen = some_runs(len(held_out), max(max_images, LEAST_IMAGES))
     observed = [held_out.select(chosen)]
-    if training is not None and familiarity is not None and network.memory is None:  # which errs on no image of it
+    if training is not None and ood_model is not None and network.memory is None:  # which errs on no image of it
         exemplars = spaced(len(training), EXEMPLARS)
         observed.append(training.select(exemplars[spaced(len(exemplars), len(chosen))]))
     total, done, found = sum(len(images) for images in observed), 0, []
@@ -168,7 +168,7 @@ def calibrate(
             samples.append(poses)
             advance(done + len(samples), total)
         done += len(samples)
-        score = familiarity.unfamiliarity(extract_features(network, images)) if familiarity is not None else None
+        score = ood_model.ood_score(extract_features(network, images)) if ood_model is not None else None
         found.append(Observations(samples, images.poses, score))
     samples, truth = found[0].samples, found[0].truth
     travel = Travel.along(held_out.poses, pass_numbers(held_out))[chosen]

@@ -12,14 +12,14 @@ import torch
 from filtering.errors import VaporTrackError
 from sequences.options import SequenceOptions
 from vapor.calibration.calibrate import Advance, CalibrationResult, calibrate
-from vapor.calibration.familiarity import EXEMPLARS, extract_features, learn_familiarity
 from vapor.calibration.image_errors import LEAST_IMAGES, ordinary_score
+from vapor.calibration.ood_model import EXEMPLARS, extract_features, learn_ood_model
 from vapor.checkpoints.file_format import find_model, load_checkpoint, save_checkpoint
 from vapor.checkpoints.scene_scale import spaced
 from vapor.checkpoints.stored_tensors import NETWORK
 from vapor.engines.engine import Device, resolve_device
 from vapor.regressors.base import PoseRegressor
-from vapor.regressors.familiarity import Familiarity
+from vapor.regressors.ood_model import OodModel
 from vapor.tensor_files import read_safetensors
 from vapor.training_data.entries import open_sequences, require_no_leakage
 from vapor.training_data.load import load_training_set
@@ -32,7 +32,7 @@ def calibrate_model(
     output: Path,
     *,
     training: Sequence[Path | str] = (),
-    familiarity_only: bool = False,
+    ood_only: bool = False,
     same_conditions: bool = False,
     max_images: int = 500,
     seed: int = 0,
@@ -42,15 +42,15 @@ def calibrate_model(
 ) -> CalibrationResult:
     """Calibrate a trained model, and write it with its weights untouched.
 
-    Familiarity is learned from `training`. Without it, only the threshold of a known familiarity is fitted; an unknown
-    familiarity is learned from half of the held-out data, and the threshold from the rest.
+    OodModel is learned from `training`. Without it, only the threshold of a known ood_model is fitted; an unknown
+    ood_model is learned from half of the held-out data, and the threshold from the rest.
 
     Args:
         model: Model file, or name of a model that ships.
         data: Held-out files and folders with true poses, as for `train`.
         output: The model file to write.
         training: Data that the model was trained on, or some of it.
-        familiarity_only: Fit only the familiarity.
+        ood_only: Fit only the ood_model.
         same_conditions: As in `calibrate`.
         max_images: Number of held-out images that are used, at most.
         seed: Of latent noise.
@@ -67,7 +67,7 @@ def calibrate_model(
     checkpoint = load_checkpoint(file)
     config = checkpoint.network
     require_no_leakage(training, data)
-    odometry = "unread" if familiarity_only else "optional"
+    odometry = "unread" if ood_only else "optional"
 
     def load(entries: Sequence[Path | str]) -> TrainingSet:
         sequences = open_sequences(entries, reading, odometry)
@@ -81,18 +81,18 @@ def calibrate_model(
     skipped = held_out.skipped + trained_on.skipped if trained_on else held_out.skipped
     notices = held_out.notices + (trained_on.notices if trained_on else ())
     network = checkpoint.build_network().to(resolve_device(device))
-    familiarity = _familiarity(network, checkpoint.familiarity, trained_on, held_out, max_images)
-    calibration, known = checkpoint.calibration, checkpoint.familiarity
-    if familiarity is not None and known is not None:
+    ood_model = _ood_model(network, checkpoint.ood_model, trained_on, held_out, max_images)
+    calibration, known = checkpoint.calibration, checkpoint.ood_model
+    if ood_model is not None and known is not None:
         # Scores have another scale now; an ordinary image is as ordinary as before.
         if trained_on is None:
-            scores = np.array([calibration.errors.unfamiliar_score * known.threshold / familiarity.threshold])
+            scores = np.array([calibration.errors.typical_ood_score * known.threshold / ood_model.threshold])
         else:
             features = extract_features(network, held_out.select(spaced(len(held_out), max_images)))
-            scores = familiarity.unfamiliarity(features)
-        errors = replace(calibration.errors, unfamiliar_score=ordinary_score(scores))
+            scores = ood_model.ood_score(features)
+        errors = replace(calibration.errors, typical_ood_score=ordinary_score(scores))
         calibration = replace(calibration, errors=errors)
-    if familiarity_only:
+    if ood_only:
         result, provenance = CalibrationResult(calibration), checkpoint.training
     else:
         result = calibrate(
@@ -101,7 +101,7 @@ def calibrate_model(
             checkpoint.prior_poses,
             calibration,
             training=trained_on,
-            familiarity=familiarity,
+            ood_model=ood_model,
             same_conditions=same_conditions,
             max_images=max_images,
             seed=seed,
@@ -109,21 +109,21 @@ def calibrate_model(
         )
         names = {"data": [Path(str(entry)).name for entry in data]}
         provenance = {**checkpoint.training, "calibration": names | result.provenance}
-    fitted = replace(checkpoint, calibration=result.calibration, training=provenance, familiarity=familiarity)
+    fitted = replace(checkpoint, calibration=result.calibration, training=provenance, ood_model=ood_model)
     stored = read_safetensors(file)[1].items()
     float16 = any(tensor.dtype == torch.float16 for name, tensor in stored if name.startswith(NETWORK))
     save_checkpoint(output, fitted, store_float16=float16)
     return replace(result, skipped=skipped, notices=notices)
 
 
-def _familiarity(
+def _ood_model(
     network: PoseRegressor,
-    known: Familiarity | None,
+    known: OodModel | None,
     trained_on: TrainingSet | None,
     held_out: TrainingSet,
     max_images: int,
-) -> Familiarity | None:
-    """Familiarity with the threshold of held-out images; None where there are too few images."""
+) -> OodModel | None:
+    """OodModel with the threshold of held-out images; None where there are too few images."""
     if trained_on is None and known is not None:
         return known.with_threshold_of(extract_features(network, held_out.select(spaced(len(held_out), max_images))))
     if trained_on is None:
@@ -131,4 +131,4 @@ def _familiarity(
         first = which % 2 == 0 if len(numbers) > 1 else np.arange(len(held_out)) < len(held_out) // 2
         trained_on, held_out = held_out.select(np.flatnonzero(first)), held_out.select(np.flatnonzero(~first))
     some = trained_on.select(spaced(len(trained_on), EXEMPLARS))
-    return learn_familiarity(network, some, held_out.select(spaced(len(held_out), max_images)))
+    return learn_ood_model(network, some, held_out.select(spaced(len(held_out), max_images)))

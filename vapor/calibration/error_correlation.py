@@ -157,14 +157,14 @@ def _correlation_length(lengths: Float64[np.ndarray, " k"], products: Float64[np
     return integral
 
 
-def effective_images(travel: Travel, lasting: ErrorCorrelation) -> float:
+def effective_images(travel: Travel, correlated: ErrorCorrelation) -> float:
     """Number of independent images of as much information: one a pass and one for every two lengths, at most all."""
-    steps = lasting.between(travel, slice(None, -1), slice(1, None))
+    steps = correlated.between(travel, slice(None, -1), slice(1, None))
     return 1.0 + float(np.where(np.diff(travel.pass_number) == 0, np.minimum(steps / 2.0, 1.0), 1.0).sum())
 
 
-def mistaken_lengths(
-    evidence: Float64[np.ndarray, " n"], travel: Travel, lasting: ErrorCorrelation, *, same_conditions: bool = False
+def outlier_lengths(
+    evidence: Float64[np.ndarray, " n"], travel: Travel, correlated: ErrorCorrelation, *, same_conditions: bool = False
 ) -> float:
     """The number of lengths of errors over which images are one vote on the place; 1 where no image mistakes the place.
 
@@ -177,8 +177,8 @@ def mistaken_lengths(
         return 1.0
     value = (evidence - evidence.mean()) / evidence.std()
     first, second = pairs_of_images(travel, np.ones(len(value), bool))
-    steps = lasting.between(travel, slice(None, -1), slice(1, None))[np.diff(travel.pass_number) == 0]
-    apart = lasting.between(travel, first, second)
+    steps = correlated.between(travel, slice(None, -1), slice(1, None))[np.diff(travel.pass_number) == 0]
+    apart = correlated.between(travel, first, second)
     near = apart < _FARTHEST_LENGTHS
     apart, products = apart[near], (value[first] * value[second])[near]
     if len(products) < LEAST_PAIRS:

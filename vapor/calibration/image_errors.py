@@ -9,17 +9,17 @@ import torch
 from jaxtyping import Float64
 from torch import Tensor
 
-from filtering.error_model import FOREIGN, LEAST_SCORE, ErrorModel, Six
+from filtering.measurement_noise import LEAST_SCORE, OUT_OF_DISTRIBUTION, MeasurementNoise, Six
 from filtering.se3 import Poses
-from vapor.calibration.error_correlation import Travel, effective_images, fit_error_correlation, mistaken_lengths
+from vapor.calibration.error_correlation import Travel, effective_images, fit_error_correlation, outlier_lengths
 from vapor.calibration.places import Observations, Places, as_six, log_densities, log_sums
-from vapor.checkpoints.scene_scale import RADIUS_RAD, flat_log_density, scene_extent
+from vapor.checkpoints.scene_scale import RADIUS_RAD, log_clutter_density, scene_extent
 
-_STARTS = (0.003, 0.02, 0.1, 0.3)  # of the floor, in extents
+_STARTS = (0.003, 0.02, 0.1, 0.3)  # of the noise_floor, in extents
 _TRIES, _STEPS = 12, 80  # of the optimiser, from every start and from the best
-_LOG_SPREAD, _LOG_FLOOR, _LOG_TAIL, _LOGIT_OUTLIERS = (-5.0, 4.0), (-9.0, 0.0), (0.7, 4.0), (-5.0, 0.0)
-_LIMITS = (_LOG_SPREAD, *[_LOG_FLOOR] * 6, _LOGIT_OUTLIERS, _LOG_TAIL)
-_PULL, _PULLED_TO = 1e-4, np.log(0.02)  # of the floor's logarithms, decisive without data
+_LOG_SPREAD, _LOG_STOREY, _LOG_TAIL, _LOGIT_OUTLIERS = (-5.0, 4.0), (-9.0, 0.0), (0.7, 4.0), (-5.0, 0.0)
+_LIMITS = (_LOG_SPREAD, *[_LOG_STOREY] * 6, _LOGIT_OUTLIERS, _LOG_TAIL)
+_PULL, _PULLED_TO = 1e-4, np.log(0.02)  # of the noise_floor's logarithms, decisive without data
 _POWERS = np.linspace(0.0, 1.5, 13)  # by which errors grow with the score
 LEAST_IMAGES = 20
 """Images that are needed for a fit."""
@@ -46,36 +46,37 @@ class Change:
 class FoundErrors:
     """The likeliest errors for one reach of a place.
 
-    `score` is the mean log likelihood, with the pull of the floor. `parameters` are logarithms of spread and floor (in
-    extents), logit of the outliers, and logarithm of the tail, (9,).
+    `score` is the mean log likelihood, with the pull of the noise_floor. `parameters` are logarithms of spread and
+    noise_floor (in extents), logit of the outliers, and logarithm of the degrees_of_freedom, (9,).
     """
 
     score: float
     parameters: Tensor
 
     def settings(self, extent: float) -> dict[str, float | Six]:
-        """Fields of the `ErrorModel`, for a scene of this extent in metres."""
-        spread, floor, outliers, tail = (value.numpy() for value in _unpack(self.parameters))
+        """Fields of the `MeasurementNoise`, for a scene of this extent in metres."""
+        spread, noise_floor, outliers, degrees_of_freedom = (value.numpy() for value in _unpack(self.parameters))
         lengths = np.array([extent] * 3 + [1.0] * 3)
         return {
             "spread": float(spread),
-            "floor": as_six(floor * lengths),
+            "noise_floor": as_six(noise_floor * lengths),
             "outlier_probability": float(1.0 / (1.0 + np.exp(-outliers))),
-            "tail": float(tail),
+            "degrees_of_freedom": float(degrees_of_freedom),
         }
 
 
 def _unpack(parameters: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     return (
         parameters[0].clamp(*_LOG_SPREAD).exp(),
-        parameters[1:7].clamp(*_LOG_FLOOR).exp(),
+        parameters[1:7].clamp(*_LOG_STOREY).exp(),
         parameters[7].clamp(*_LOGIT_OUTLIERS),
         parameters[8].clamp(*_LOG_TAIL).exp(),
     )
 
 
 def most_likely_errors(places: Places, extent: float, flat: float, also: Tensor | None) -> FoundErrors:
-    """Spread, floor, tail and outliers of highest likelihood, from several starting points and `also`.
+    """Spread, noise_floor, degrees_of_freedom and outliers of highest likelihood, from several starting points and
+    `also`.
 
     `extent` of the scene in metres is the unit of lengths. `flat` is the log density of poses spread evenly over it.
     """
@@ -88,9 +89,9 @@ def most_likely_errors(places: Places, extent: float, flat: float, also: Tensor 
     low, high = (torch.tensor(limits, dtype=torch.float64) for limits in zip(*_LIMITS, strict=True))
 
     def loss(parameters: Tensor) -> tuple[float, Tensor]:
-        """Negative mean log likelihood, with the pull of the floor, and its gradient."""
-        spread, floor, outliers, tail = _unpack(parameters)
-        terms, slopes = log_densities(residual, covariance, fraction, spread, floor, tail)
+        """Negative mean log likelihood, with the pull of the noise_floor, and its gradient."""
+        spread, noise_floor, outliers, degrees_of_freedom = _unpack(parameters)
+        terms, slopes = log_densities(residual, covariance, fraction, spread, noise_floor, degrees_of_freedom)
         log_places = log_sums(terms, image)
         out, right = torch.nn.functional.logsigmoid(outliers), torch.nn.functional.logsigmoid(-outliers)
         log_right = right + log_places - log_unit
@@ -121,9 +122,9 @@ def most_likely_errors(places: Places, extent: float, flat: float, also: Tensor 
         return (value, found) if np.isfinite(value) and torch.isfinite(found).all() else (np.inf, start)
 
     starts = []
-    for floor in _STARTS:
-        angle = min(max(floor, 0.02), 0.2)
-        logs = [0.0, *[np.log(floor)] * 3, *[np.log(angle)] * 3, -2.5, 1.8]
+    for noise_floor in _STARTS:
+        angle = min(max(noise_floor, 0.02), 0.2)
+        logs = [0.0, *[np.log(noise_floor)] * 3, *[np.log(angle)] * 3, -2.5, 1.8]
         starts.append(torch.tensor(logs, dtype=torch.float64))
     ends = [search(start, _TRIES) for start in (starts if also is None else [*starts, also])]
     value, parameters = min(ends, key=lambda end: end[0])
@@ -132,36 +133,36 @@ def most_likely_errors(places: Places, extent: float, flat: float, also: Tensor 
 
 
 def growing_errors(
-    errors: ErrorModel,
+    errors: MeasurementNoise,
     places: Places,
     score: Float64[np.ndarray, " n"],
     trained: Observations,
     trained_score: Float64[np.ndarray, " k"],
-) -> ErrorModel:
+) -> MeasurementNoise:
     """The model with errors that grow with the score by the power of highest likelihood.
 
-    Held-out images (n) and training images (k), which are more familiar, have the same weight.
+    Held-out images (n) and training images (k), which have lower scores, have the same weight.
     """
-    errors = replace(errors, unfamiliar_score=ordinary_score(score))
+    errors = replace(errors, typical_ood_score=ordinary_score(score))
     known = Places.near(trained.samples, trained.truth, errors.radius_m, errors.radius_rad)
 
-    def likelihood(grown: ErrorModel) -> float:
+    def likelihood(grown: MeasurementNoise) -> float:
         held_out = places.grown(grown, score).log_density(grown).mean()
         return float(held_out + known.grown(grown, trained_score).log_density(grown).mean())
 
-    return max((replace(errors, unfamiliar_power=float(power)) for power in _POWERS), key=likelihood)
+    return max((replace(errors, ood_power=float(power)) for power in _POWERS), key=likelihood)
 
 
 def ordinary_score(score: Float64[np.ndarray, " n"]) -> float:
     """The median score, within the range that counts."""
-    return float(np.clip(np.median(score), LEAST_SCORE, FOREIGN))
+    return float(np.clip(np.median(score), LEAST_SCORE, OUT_OF_DISTRIBUTION))
 
 
 @dataclass(frozen=True)
 class ErrorFit:
     """Errors of the posteriors of images with true poses, with the coverage of their 50, 90 and 95 % regions."""
 
-    errors: ErrorModel
+    errors: MeasurementNoise
     changes: tuple[Change, ...]
     coverage: tuple[float, float, float]
     effective_images: float
@@ -171,18 +172,18 @@ def fit_errors(
     held_out: Observations,
     travel: Travel,
     scene: Poses,
-    before: ErrorModel,
+    before: MeasurementNoise,
     *,
     trained: Observations | None = None,
     same_conditions: bool = False,
 ) -> ErrorFit:
     """Fit the errors of the posteriors of n held-out images.
 
-    Places, spread, floor, tails and outliers maximise the mean log likelihood
+    Places, spread, noise_floor, tails and outliers maximise the mean log likelihood
 
-        log[ε flat + (1 − ε) Σₖ fractionₖ t(true pose; placeₖ, spread Cₖ + diag(floor²), ν)].
+        log[ε flat + (1 − ε) Σₖ fractionₖ t(true pose; placeₖ, spread Cₖ + diag(noise_floor²), ν)].
 
-    Among reaches of places of nearly the same likelihood, the widest is taken. Growth with unfamiliarity is the power
+    Among reaches of places of nearly the same likelihood, the widest is taken. Growth with ood_score is the power
     of highest likelihood. The correlation of errors comes from products of the normalised errors of two images against
     the motion between them, that of mistakes from the evidence of two images for the true place. The fewer independent
     images, the more alike are the axes and the larger the variances.
@@ -196,13 +197,13 @@ def fit_errors(
         same_conditions: Whether held-out images show the light and season of use.
     """
     extent = scene_extent(scene)
-    flat = flat_log_density(scene)
+    flat = log_clutter_density(scene)
     radius, places, found = _widest_places(held_out, extent, flat)
     errors = replace(
         before,
         radius_m=radius,
         radius_rad=RADIUS_RAD,
-        flat_log_density=flat,
+        log_clutter_density=flat,
         **found.settings(extent),
     )
     evidence = places.evidence(errors)
@@ -212,18 +213,18 @@ def fit_errors(
         places = places.grown(errors, held_out.score)
         errors = replace(errors, **most_likely_errors(places, extent, flat, found.parameters).settings(extent))
     else:
-        errors = replace(errors, unfamiliar_power=0.0)
+        errors = replace(errors, ood_power=0.0)
     residual, usable = places.residuals(errors)
-    lasting = fit_error_correlation(residual, usable, travel, extent)
-    effective = effective_images(travel, lasting)
+    correlated = fit_error_correlation(residual, usable, travel, extent)
+    effective = effective_images(travel, correlated)
     errors = cautious(errors, effective)
     errors = replace(
         errors,
         outlier_probability=max(errors.outlier_probability, LEAST_OUTLIERS),
-        lasting_fraction=lasting.fraction,
-        length_m=lasting.length_m,
-        length_rad=lasting.length_rad,
-        mistaken_lengths=mistaken_lengths(evidence, travel, lasting, same_conditions=same_conditions),
+        correlated_fraction=correlated.fraction,
+        length_m=correlated.length_m,
+        length_rad=correlated.length_rad,
+        outlier_lengths=outlier_lengths(evidence, travel, correlated, same_conditions=same_conditions),
         typical_std=places.typical_std(errors),
     )
     places_before = Places.near(held_out.samples, held_out.truth, before.radius_m, before.radius_rad)
@@ -231,8 +232,15 @@ def fit_errors(
         places_before = places_before.grown(before, held_out.score)
     gain = float((places.log_density(errors) - places_before.log_density(before)).mean())
     fits = {
-        "errors of an image": ("radius_m", "spread", "floor", "tail", "outlier_probability", "unfamiliar_power"),
-        "how long they last": ("lasting_fraction", "length_m", "length_rad", "mistaken_lengths"),
+        "errors of an image": (
+            "radius_m",
+            "spread",
+            "noise_floor",
+            "degrees_of_freedom",
+            "outlier_probability",
+            "ood_power",
+        ),
+        "how long they last": ("correlated_fraction", "length_m", "length_rad", "outlier_lengths"),
     }
     changes = []
     for (what, names), gained in zip(fits.items(), (gain, None), strict=True):
@@ -254,17 +262,17 @@ def _widest_places(held_out: Observations, extent: float, flat: float) -> tuple[
     return next(entry for entry in reversed(tried) if entry[2].score >= highest - _AS_GOOD)
 
 
-def cautious(errors: ErrorModel, effective: float) -> ErrorModel:
+def cautious(errors: MeasurementNoise, effective: float) -> MeasurementNoise:
     """Larger errors and more similar axes, the fewer independent images there are.
 
     An error common to all images is not visible: with few images, a larger fraction of the variance may never fade.
     """
-    variances = np.square(errors.floor).reshape(2, 3)
+    variances = np.square(errors.noise_floor).reshape(2, 3)
     variances = (effective * variances + _ALIKE * variances.mean(axis=1, keepdims=True)) / (effective + _ALIKE)
     larger = (effective + _UNSURE) / effective
     return replace(
         errors,
         spread=larger * errors.spread,
-        floor=as_six(np.sqrt(larger * variances).ravel()),
-        constant_fraction=min(1.0, ErrorModel().constant_fraction + _UNSEEN / effective),
+        noise_floor=as_six(np.sqrt(larger * variances).ravel()),
+        constant_fraction=min(1.0, MeasurementNoise().constant_fraction + _UNSEEN / effective),
     )

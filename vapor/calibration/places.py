@@ -12,7 +12,7 @@ from scipy.stats import f as fisher
 from torch import Tensor
 
 from filtering.association import PLACE
-from filtering.error_model import ErrorModel, Six
+from filtering.measurement_noise import MeasurementNoise, Six
 from filtering.moments import group_moments
 from filtering.posterior import find_places
 from filtering.se3 import Poses
@@ -24,7 +24,7 @@ _NEAREST = 8  # places of an image that are fitted: those nearest to the true po
 
 @dataclass(frozen=True)
 class Observations:
-    """Posterior samples, (m,) each, and true poses of n images, and `PosePosterior.unfamiliarity`, if any."""
+    """Posterior samples, (m,) each, and true poses of n images, and `PosePosterior.ood_score`, if any."""
 
     samples: Sequence[Poses]
     truth: Poses
@@ -32,28 +32,40 @@ class Observations:
 
 
 def log_densities(
-    residual: Tensor, covariance: Tensor, fraction: Tensor, spread: Tensor, floor: Tensor, tail: Tensor
+    residual: Tensor,
+    covariance: Tensor,
+    fraction: Tensor,
+    spread: Tensor,
+    noise_floor: Tensor,
+    degrees_of_freedom: Tensor,
 ) -> tuple[Tensor, Tensor]:
     """Log of fraction times Student t density of each residual, (p,), and its slopes (p, 8).
 
-    The slopes are by the logarithms of spread, floor (6) and tail. Automatic differentiation takes twice the time.
+    The slopes are by the logarithms of spread, noise_floor (6) and degrees_of_freedom. Automatic differentiation takes
+    twice the time.
     """
-    factor = torch.linalg.cholesky(spread * covariance + torch.diag(floor.square()))
+    factor = torch.linalg.cholesky(spread * covariance + torch.diag(noise_floor.square()))
     inverse = torch.cholesky_inverse(factor)
     solved = (inverse @ residual[..., None])[..., 0]
     squared = (residual * solved).sum(dim=1)
-    half = (tail + 6.0) / 2.0
+    half = (degrees_of_freedom + 6.0) / 2.0
     log_volume = torch.diagonal(factor, dim1=1, dim2=2).log().sum(dim=1)
-    log_constant = torch.lgamma(half) - torch.lgamma(tail / 2.0) - 3.0 * torch.log(tail * np.pi)
-    log_far = torch.log1p(squared / tail)
-    by_scale = solved[:, :, None] * solved[:, None, :] * (half / (tail + squared))[:, None, None] - 0.5 * inverse
-    by_tail = 0.5 * (torch.digamma(half) - torch.digamma(tail / 2.0) - log_far) - 3.0 / tail
-    by_tail += half * squared / (tail * (tail + squared))
+    log_constant = (
+        torch.lgamma(half) - torch.lgamma(degrees_of_freedom / 2.0) - 3.0 * torch.log(degrees_of_freedom * np.pi)
+    )
+    log_far = torch.log1p(squared / degrees_of_freedom)
+    by_scale = (
+        solved[:, :, None] * solved[:, None, :] * (half / (degrees_of_freedom + squared))[:, None, None] - 0.5 * inverse
+    )
+    by_degrees_of_freedom = (
+        0.5 * (torch.digamma(half) - torch.digamma(degrees_of_freedom / 2.0) - log_far) - 3.0 / degrees_of_freedom
+    )
+    by_degrees_of_freedom += half * squared / (degrees_of_freedom * (degrees_of_freedom + squared))
     slopes = torch.cat(
         [
             spread * (by_scale * covariance).sum(dim=(1, 2))[:, None],
-            2.0 * floor.square() * torch.diagonal(by_scale, dim1=1, dim2=2),
-            tail * by_tail[:, None],
+            2.0 * noise_floor.square() * torch.diagonal(by_scale, dim1=1, dim2=2),
+            degrees_of_freedom * by_degrees_of_freedom[:, None],
         ],
         dim=1,
     )
@@ -103,18 +115,18 @@ class Places:
         covariance, fraction = (np.concatenate(part) for part in list(zip(*parts, strict=True))[1:])
         return Places(residual[kept], covariance[kept], fraction[kept], image[kept])
 
-    def grown(self, errors: ErrorModel, score: Float64[np.ndarray, " n"]) -> Places:
+    def grown(self, errors: MeasurementNoise, score: Float64[np.ndarray, " n"]) -> Places:
         """The places as if every image had the ordinary score: g⁻³ t(ξ/√g; Σ) is t(ξ; g Σ)."""
         growth = np.array([errors.growth(float(value)) for value in score])[self.image]
         return replace(self, residual=self.residual / np.sqrt(growth)[:, None], fraction=self.fraction / growth**3)
 
-    def log_density(self, errors: ErrorModel) -> Float64[np.ndarray, " n"]:
+    def log_density(self, errors: MeasurementNoise) -> Float64[np.ndarray, " n"]:
         """Log density of the true pose of each image, per m³ rad³."""
         log_places = log_sums(torch.from_numpy(self._log_terms(errors)), torch.from_numpy(self.image)).numpy()
         outliers = errors.outlier_probability
-        return np.logaddexp(np.log(outliers) + errors.flat_log_density, np.log1p(-outliers) + log_places)
+        return np.logaddexp(np.log(outliers) + errors.log_clutter_density, np.log1p(-outliers) + log_places)
 
-    def evidence(self, errors: ErrorModel) -> Float64[np.ndarray, " n"]:
+    def evidence(self, errors: MeasurementNoise) -> Float64[np.ndarray, " n"]:
         """Log of how possible each image finds the true place, as in `associate`."""
         covariance = errors.covariance(self.covariance)
         solved = np.linalg.solve(covariance, self.residual[..., None])[..., 0]
@@ -123,7 +135,7 @@ class Places:
         possible = support / (support + errors.possible_fraction)
         return np.log(errors.outlier_probability + (1.0 - errors.outlier_probability) * possible)
 
-    def residuals(self, errors: ErrorModel) -> tuple[Float64[np.ndarray, "n 6"], Bool[np.ndarray, " n"]]:
+    def residuals(self, errors: MeasurementNoise) -> tuple[Float64[np.ndarray, "n 6"], Bool[np.ndarray, " n"]]:
         """Errors of the likeliest places in standard deviations, and which images beat a flat density.
 
         Large errors are reduced by the weight of a Student t distribution.
@@ -134,51 +146,53 @@ class Places:
         values, vectors = np.linalg.eigh(covariance)
         normal = np.einsum("nij,nj->ni", np.swapaxes(vectors, 1, 2), self.residual[best] / unit)
         normal = np.einsum("nij,nj->ni", vectors, normal / np.sqrt(values))
-        weight = (errors.tail + 6.0) / (errors.tail + np.square(normal).sum(axis=1))
+        weight = (errors.degrees_of_freedom + 6.0) / (errors.degrees_of_freedom + np.square(normal).sum(axis=1))
         log_odds = np.log1p(-errors.outlier_probability) - np.log(errors.outlier_probability)
         terms = torch.from_numpy(self._log_terms(errors))
         log_places = log_sums(terms, torch.from_numpy(self.image)).numpy()
-        return normal * np.sqrt(np.minimum(weight, 1.0))[:, None], log_places + log_odds > errors.flat_log_density
+        return normal * np.sqrt(np.minimum(weight, 1.0))[:, None], log_places + log_odds > errors.log_clutter_density
 
-    def coverage(self, errors: ErrorModel) -> tuple[float, float, float]:
+    def coverage(self, errors: MeasurementNoise) -> tuple[float, float, float]:
         """Fractions of the images whose true pose is in the 50, 90 and 95 % region of its likeliest place."""
         squared = self._squared(errors)
-        fifty, ninety, most = (float((squared <= 6.0 * fisher.ppf(q, 6, errors.tail)).mean()) for q in REGIONS)
+        fifty, ninety, most = (
+            float((squared <= 6.0 * fisher.ppf(q, 6, errors.degrees_of_freedom)).mean()) for q in REGIONS
+        )
         return fifty, ninety, most
 
-    def lacking(self, errors: ErrorModel, region: float) -> float:
+    def lacking(self, errors: MeasurementNoise, region: float) -> float:
         """Factor ≥ 1 of the variances by which the region of this probability holds as many true poses."""
         reached = float(np.quantile(self._squared(errors), region, method="higher"))
-        return max(1.0, reached / float(6.0 * fisher.ppf(region, 6, errors.tail)))
+        return max(1.0, reached / float(6.0 * fisher.ppf(region, 6, errors.degrees_of_freedom)))
 
-    def _squared(self, errors: ErrorModel) -> Float64[np.ndarray, " n"]:
+    def _squared(self, errors: MeasurementNoise) -> Float64[np.ndarray, " n"]:
         best = self._likeliest(errors)
         covariance = errors.covariance(self.covariance[best])
         solved = np.linalg.solve(covariance, self.residual[best][..., None])[..., 0]
         return np.einsum("ni,ni->n", self.residual[best], solved)
 
-    def typical_std(self, errors: ErrorModel) -> Six:
+    def typical_std(self, errors: MeasurementNoise) -> Six:
         """Standard deviations of the error of the likeliest place, median over the images."""
         variances = np.diagonal(errors.covariance(self.covariance[self._likeliest(errors)]), axis1=1, axis2=2)
         return as_six(np.sqrt(np.median(variances, axis=0)))
 
-    def _likeliest(self, errors: ErrorModel) -> Int64[np.ndarray, " n"]:
+    def _likeliest(self, errors: MeasurementNoise) -> Int64[np.ndarray, " n"]:
         order = np.lexsort([-self._log_terms(errors), self.image])
         return order[np.flatnonzero(np.diff(self.image, prepend=-1))]
 
-    def _log_terms(self, errors: ErrorModel) -> Float64[np.ndarray, " p"]:
+    def _log_terms(self, errors: MeasurementNoise) -> Float64[np.ndarray, " p"]:
         terms, _ = log_densities(
             torch.from_numpy(self.residual),
             torch.from_numpy(self.covariance),
             torch.from_numpy(self.fraction),
             torch.tensor(errors.spread, dtype=torch.float64),
-            torch.tensor(errors.floor, dtype=torch.float64),
-            torch.tensor(errors.tail, dtype=torch.float64),
+            torch.tensor(errors.noise_floor, dtype=torch.float64),
+            torch.tensor(errors.degrees_of_freedom, dtype=torch.float64),
         )
         return terms.numpy()
 
 
 def as_six(values: Float64[np.ndarray, "6"]) -> Six:
-    """Six numbers as a tuple of an `ErrorModel`."""
+    """Six numbers as a tuple of an `MeasurementNoise`."""
     a, b, c, d, e, f = (float(value) for value in values)
     return a, b, c, d, e, f

@@ -13,7 +13,7 @@ from scipy.stats import f as fisher
 from filtering.mapped_views import MOST_ELSEWHERE, unshown
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
-from vapor.calibration.verified_errors import LeftOut
+from vapor.calibration.verified_errors import LeaveOut
 from vapor.landmarks.localize import VerifiedPose
 from vapor.landmarks.verify import Verification, proposed_weights
 
@@ -51,7 +51,7 @@ class SeenPlaces:
         metres, radians = poses.distance(truth)
         offset = posterior.means.between(truth).log()
         squared = np.einsum("ki,kij,kj->k", offset, np.linalg.inv(posterior.covariances), offset)
-        inside = squared < 6.0 * fisher.ppf(_REGION, 6, posterior.errors.tail)
+        inside = squared < 6.0 * fisher.ppf(_REGION, 6, posterior.errors.degrees_of_freedom)
         return SeenPlaces(
             np.array([float(each.inliers) for each in found]),
             proposed_weights(posterior, poses),
@@ -63,17 +63,17 @@ class SeenPlaces:
     def support(self, settings: Verification) -> float:
         """The weight of the verified places that are right."""
         scores = settings.scores(self.inliers, self.proposed)
-        return float(scores[self.right].sum() / (scores.sum() + self.others + settings.nothing))
+        return float(scores[self.right].sum() / (scores.sum() + self.others + settings.clutter))
 
     def log_likelihood(self, settings: Verification) -> float:
         """Log probability of the true pose: at a verified place, else at another."""
         scores = settings.scores(self.inliers, self.proposed)
         right = float(scores[self.right].sum()) if self.right.any() else self.others_right
-        total = float(scores.sum()) + self.others + settings.nothing
-        return float(np.log((right if right > 0.0 else settings.nothing) / total))
+        total = float(scores.sum()) + self.others + settings.clutter
+        return float(np.log((right if right > 0.0 else settings.clutter) / total))
 
 
-def fit_reach(left_out: LeftOut, effective: float) -> Verification:
+def fit_reach(left_out: LeaveOut, effective: float) -> Verification:
     """Settings with `reach` and `elsewhere` fitted to training images, worth `effective` independent ones."""
     right = np.zeros(len(left_out.found), bool)
     right[[row for row, _ in left_out.right]] = True
@@ -129,10 +129,10 @@ def none_right(images: Sequence[SeenPlaces], effective: float) -> float:
 
 
 def _numbers(settings: Verification) -> Float64[np.ndarray, "4"]:
-    return np.array([np.log(settings.gain), settings.power, np.log(settings.unproposed), np.log(settings.nothing)])
+    return np.array([np.log(settings.gain), settings.power, np.log(settings.unproposed), np.log(settings.clutter)])
 
 
 def _settings(numbers: Float64[np.ndarray, "4"], others: Verification) -> Verification:
     gain, unproposed, nothing = (float(np.exp(np.clip(numbers[i], -6.0, 6.0))) for i in (0, 2, 3))
     power = float(np.clip(numbers[1], 0.0, 5.0))
-    return replace(others, gain=gain, power=power, unproposed=min(unproposed, 1.0), nothing=nothing)
+    return replace(others, gain=gain, power=power, unproposed=min(unproposed, 1.0), clutter=nothing)

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from filtering.error_model import ErrorModel
+from filtering.measurement_noise import MeasurementNoise
 from filtering.se3 import Poses
 from vapor.calibration.error_correlation import (
     LEAST_PAIRS,
@@ -34,7 +34,7 @@ _ENOUGH = 0.5  # of the images verified where they are: else less is hidden
 _IMAGES, _TRIED = 200, 40  # that are localized, and by which it is found how much can be hidden
 _DEPTH_RAD = 2.0 * np.deg2rad(25.0)  # a turn that changes the view as much as a depth moved
 _LENGTHS, _USUAL_LENGTH = np.geomspace(0.05, 3.0, 13).tolist(), 0.4  # over which errors last, in depths
-_LEAST_LASTING, _MOST_LASTING = 0.5, 0.95  # of the variance
+_LEAST_LASTING, _MOST_CORRELATED = 0.5, 0.95  # of the variance
 _NONE_RIGHT = 0.05  # of the images, before held-out ones are seen
 _HELD = 0.9  # of the images at least have their true pose in the region of this name
 _RIGHT = 0.5, 0.35  # depths and radians, beyond which a pose is of another place
@@ -44,7 +44,7 @@ QueryFeatures = Callable[[int], Features]
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class LeaveOut:
     """Training images, localized by a map without those near them in time.
 
     Attributes:
@@ -112,7 +112,7 @@ def leave_out(
     most: int = _IMAGES,
     stretches: Sequence[float] = _STRETCHES,
     advance: Advance = lambda done, total: None,
-) -> LeftOut:
+) -> LeaveOut:
     """Localize `most` training images, evenly spaced, without those near them in time.
 
     Around an image is hidden as much as leaves landmarks of the right place for half of the images: in use, all were
@@ -147,7 +147,7 @@ def _without(
     stretch: Int64[np.ndarray, " n"],
     chosen: Int64[np.ndarray, " k"],
     advance: Advance,
-) -> LeftOut:
+) -> LeaveOut:
     found: dict[int, tuple[VerifiedPose, ...]] = {}
     distance = np.zeros(len(poses))
     for fold in range(_FOLDS):
@@ -162,7 +162,7 @@ def _without(
             found[image] = tuple(localizer.localize(localizer.described(features(image))))
     image = np.array(sorted(found), np.int64)
     of_images = tuple(found[i] for i in image.tolist())
-    return LeftOut(image, of_images, poses[image], distance[image], built.material.depth_m)
+    return LeaveOut(image, of_images, poses[image], distance[image], built.material.depth_m)
 
 
 def _stretches(
@@ -184,10 +184,10 @@ def _stretches(
 class VerifiedErrors:
     """Errors of verified poses in the camera's frame, of the images of the fit.
 
-    `elsewhere` is that of `LeftOut`, medians are of poses of the right place, `coverage` that of three regions.
+    `elsewhere` is that of `LeaveOut`, medians are of poses of the right place, `coverage` that of three regions.
     """
 
-    errors: ErrorModel
+    errors: MeasurementNoise
     images: int
     effective_images: float
     elsewhere: float
@@ -197,14 +197,15 @@ class VerifiedErrors:
 
 
 def fit_verified_errors(
-    left_out: LeftOut,
+    left_out: LeaveOut,
     poses: Poses,
     sequence: Int64[np.ndarray, " n"],
-    flat_log_density: float,
+    log_clutter_density: float,
 ) -> VerifiedErrors | None:
     """Errors of the poses of the right place; None where there are too few.
 
-    `poses` and `sequence` are those of all images; `flat_log_density` of poses spread evenly over the map, per m³ rad³.
+    `poses` and `sequence` are those of all images; `log_clutter_density` of poses spread evenly over the map, per m³
+    rad³.
     """
     rows, depth_m = left_out.right, left_out.depth_m
     if len(rows) < LEAST_IMAGES:
@@ -214,21 +215,21 @@ def fit_verified_errors(
     residual = Poses.stack([pose.world_from_camera for _, pose in rows]).between(truth).log()
     covariance = np.stack([pose.covariance for _, pose in rows])
     places = Places(residual, covariance, np.ones(len(rows)), np.arange(len(rows)))
-    found = most_likely_errors(places, depth_m, flat_log_density, None)
-    errors = replace(ErrorModel(flat_log_density=flat_log_density), **found.settings(depth_m))
+    found = most_likely_errors(places, depth_m, log_clutter_density, None)
+    errors = replace(MeasurementNoise(log_clutter_density=log_clutter_density), **found.settings(depth_m))
     residuals, usable = places.residuals(errors)
     travel = Travel.along(poses, sequence)[left_out.image[which]]
-    lasting = _error_correlation(residuals, usable, travel, depth_m)
-    effective = effective_images(travel, lasting)
+    correlated = _error_correlation(residuals, usable, travel, depth_m)
+    effective = effective_images(travel, correlated)
     errors = cautious(errors, effective)
     # Up to half of the images may look like outliers of the likeliest errors, but all of these places are right.
     errors = errors.inflated(places.lacking(errors, _HELD))
     errors = replace(
         errors,
         outlier_probability=_NONE_RIGHT,
-        lasting_fraction=lasting.fraction,
-        length_m=lasting.length_m,
-        length_rad=lasting.length_rad,
+        correlated_fraction=correlated.fraction,
+        length_m=correlated.length_m,
+        length_rad=correlated.length_rad,
         typical_std=places.typical_std(errors),
     )
     metres, radians = (float(np.median(each)) for each in left_out.errors)
@@ -241,13 +242,13 @@ def _error_correlation(
     unit = ErrorCorrelation(1.0, depth_m, _DEPTH_RAD)
     first, second = pairs_of_images(travel, usable)
     if len(first) < LEAST_PAIRS:
-        return ErrorCorrelation(_MOST_LASTING, _USUAL_LENGTH * depth_m, _USUAL_LENGTH * _DEPTH_RAD)
+        return ErrorCorrelation(_MOST_CORRELATED, _USUAL_LENGTH * depth_m, _USUAL_LENGTH * _DEPTH_RAD)
     apart = unit.between(travel, first, second)
     products = np.vecdot(residual[first], residual[second]) / max(float(np.square(residual).sum(axis=1).mean()), 1e-300)
     weights = 1.0 / (second - first)  # neighbours as much as all that are ten times as far from each other
     best, found = np.inf, unit
     for length in _LENGTHS:
-        cost, fraction = fit_decay(apart / length, products, weights, (_LEAST_LASTING, _MOST_LASTING))
+        cost, fraction = fit_decay(apart / length, products, weights, (_LEAST_LASTING, _MOST_CORRELATED))
         if cost < best:
             best, found = cost, ErrorCorrelation(fraction, length * depth_m, length * _DEPTH_RAD)
     return found

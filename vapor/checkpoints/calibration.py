@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from dataclasses import field as dataclass_field
 
 from filtering.density import KernelDensity
-from filtering.error_model import ErrorModel
 from filtering.errors import require_within
+from filtering.measurement_noise import MeasurementNoise
 from filtering.se3 import Poses
 from sequences.odometry_fit.result import OdometryFit
 
@@ -20,7 +20,7 @@ class Calibration:
     """Kernel width of the posterior samples along each axis, metres: of their density, in figures."""
     bandwidth_rotation_rad: float = 0.1
     """Kernel width of the posterior samples about each axis, radians."""
-    errors: ErrorModel = dataclass_field(default_factory=ErrorModel)
+    errors: MeasurementNoise = dataclass_field(default_factory=MeasurementNoise)
     """How the places among the samples err."""
     odometry: OdometryFit | None = None
     """How wrong odometry was on the data; None where none was at hand."""

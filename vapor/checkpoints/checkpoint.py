@@ -16,8 +16,8 @@ from sequences.frame import Camera
 from vapor.checkpoints.calibration import Calibration
 from vapor.checkpoints.stored_tensors import landmark_arrays, landmarks_config, poses_of
 from vapor.landmarks.verify import Landmarks
-from vapor.regressors.familiarity import Familiarity
 from vapor.regressors.network_config import NetworkConfig, make_regressor
+from vapor.regressors.ood_model import OodModel
 from vapor.regressors.scene_box import SceneBox
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ class _Model:
     _: KW_ONLY
     training: Mapping[str, Any] = field(default_factory=dict)
     """Provenance (data names, seed, images seen, validation figures); any JSON."""
-    familiarity: Familiarity | None = None
+    ood_model: OodModel | None = None
     """Descriptions of training images; None where they were never learned."""
     camera: Camera | None = None
     """The camera of the training images, undistorted; None where unknown."""
@@ -102,10 +102,10 @@ class Checkpoint(_Model):
         return network_sha256(self.network, self.box, weights, [value.numpy() for value in memory])
 
     def seen_sha256(self) -> str:
-        """Digest of all that the network's result for an image depends on: weights, familiarity, camera, landmarks."""
+        """Digest of all that the network's result for an image depends on: weights, ood_model, camera, landmarks."""
         seen = hashlib.sha256(self.network_sha256().encode())
-        for each in fields(self.familiarity) if self.familiarity else ():
-            seen.update(each.name.encode() + np.asarray(getattr(self.familiarity, each.name)).tobytes())
+        for each in fields(self.ood_model) if self.ood_model else ():
+            seen.update(each.name.encode() + np.asarray(getattr(self.ood_model, each.name)).tobytes())
         if self.camera is not None:
             seen.update(json.dumps(asdict(self.camera)).encode())
         if self.landmarks is not None:

@@ -16,37 +16,37 @@ from vapor.checkpoints.checkpoint import Checkpoint, ModelDescription, network_s
 from vapor.checkpoints.scene_scale import MAX_PRIOR_POSES, spaced
 from vapor.checkpoints.stored_config import parse_camera, parse_config, parse_metadata
 from vapor.checkpoints.stored_tensors import (
-    FAMILIARITY,
     HALVED_MEMORY,
     MEMORY,
     MEMORY_FIELDS,
     MEMORY_ROTATION,
     MEMORY_TRANSLATION,
     NETWORK,
+    OOD_MODEL,
     POSES,
     PRIOR_ROTATION,
     PRIOR_TRANSLATION,
     Shapes,
     check_tensors,
-    familiarity_arrays,
-    familiarity_shapes,
     float32,
     landmark_arrays,
     landmark_shapes,
     landmarks_config,
     memory_shapes,
-    read_familiarity,
+    ood_model_arrays,
+    ood_model_shapes,
     read_landmarks,
+    read_ood_model,
     read_poses,
 )
-from vapor.regressors.familiarity import description_size
 from vapor.regressors.network_config import NetworkConfig, make_regressor
+from vapor.regressors.ood_model import description_size
 from vapor.regressors.scene_box import SceneBox
 from vapor.storage import fetched, is_url, local_path
 from vapor.tensor_files import CheckpointError, StoredTensor, format_of, read_stored, write_safetensors
 
 FORMAT = "vapor-track model"
-VERSION = 10
+VERSION = 11
 ONNX = ".onnx"
 """Suffix of exported models."""
 SHIPPED = Path(__file__).resolve().parents[1] / "models"
@@ -80,7 +80,7 @@ def description_arrays(model: ModelDescription | Checkpoint) -> dict[str, np.nda
     poses = model.prior_poses
     poses = poses[spaced(len(poses), MAX_PRIOR_POSES)]
     arrays = {PRIOR_ROTATION: poses.rotation, PRIOR_TRANSLATION: poses.translation}
-    arrays |= {} if model.familiarity is None else familiarity_arrays(model.familiarity)
+    arrays |= {} if model.ood_model is None else ood_model_arrays(model.ood_model)
     return arrays | ({} if model.landmarks is None else landmark_arrays(model.landmarks))
 
 
@@ -113,7 +113,7 @@ def parse_description(
     Raises:
         CheckpointError: unusable values.
     """
-    known = any(name.startswith(FAMILIARITY) for name in tensors)
+    known = any(name.startswith(OOD_MODEL) for name in tensors)
     return ModelDescription(
         config.network,
         config.box,
@@ -122,7 +122,7 @@ def parse_description(
         network_sha256,
         read_poses(tensors, MEMORY_ROTATION, MEMORY_TRANSLATION) if MEMORY_ROTATION in tensors else None,
         training=config.training,
-        familiarity=read_familiarity(path, tensors) if known else None,
+        ood_model=read_ood_model(path, tensors) if known else None,
         camera=parse_camera(path, config.rest.get("camera")),
         file=path,
         landmarks=read_landmarks(path, config.rest.get("landmarks"), tensors),
@@ -210,7 +210,7 @@ def _refuse_exported(path: Path) -> None:
 
 def shapes_beside_weights(config: StoredConfig, tensors: Mapping[str, StoredTensor]) -> Shapes:
     """Shapes of the tensors that a file must have beside weights and prior poses."""
-    known = familiarity_shapes(tensors, description_size(config.network.backbone))
+    known = ood_model_shapes(tensors, description_size(config.network.backbone))
     remembered = memory_shapes(tensors, POSES) if MEMORY_ROTATION in tensors else {}
     return {**known, **remembered, **landmark_shapes(tensors)}
 

@@ -16,13 +16,13 @@ from vapor.checkpoints.stored_config import parse_camera, parse_config
 from vapor.landmarks.features import SIFT_SIZE, SIZE
 from vapor.landmarks.landmark_map import LandmarkMap, ViewCamera
 from vapor.landmarks.verify import Landmarks, Verification
-from vapor.regressors.familiarity import Familiarity
+from vapor.regressors.ood_model import OodModel
 from vapor.tensor_files import FLOATS, CheckpointError, StoredTensor
 
 NETWORK = "network."
-FAMILIARITY = "familiarity."
+OOD_MODEL = "ood_model."
 MEMORY = "memory."
-"""Prefixes of the names of tensors in a file: weights of the network, familiarity, memory."""
+"""Prefixes of the names of tensors in a file: weights of the network, ood_model, memory."""
 PRIOR_ROTATION, PRIOR_TRANSLATION = "prior_poses.rotation", "prior_poses.translation"
 """Names of the tensors that hold the prior poses."""
 MEMORY_ROTATION, MEMORY_TRANSLATION = f"{MEMORY}rotation", f"{MEMORY}translation"
@@ -104,41 +104,41 @@ def read_poses(tensors: Mapping[str, StoredTensor], rotation: str, translation: 
     return poses_of(tensors[rotation].array(), tensors[translation].array())
 
 
-def familiarity_arrays(familiarity: Familiarity) -> dict[str, np.ndarray]:
-    """Familiarity as tensors of a model file: matrices as float16, the rest as float32."""
-    found = {each.name: np.asarray(getattr(familiarity, each.name)) for each in fields(Familiarity)}
+def ood_model_arrays(ood_model: OodModel) -> dict[str, np.ndarray]:
+    """OodModel as tensors of a model file: matrices as float16, the rest as float32."""
+    found = {each.name: np.asarray(getattr(ood_model, each.name)) for each in fields(OodModel)}
     return {
-        FAMILIARITY + name: value.astype(np.float16 if value.ndim == 2 else np.float32) for name, value in found.items()
+        OOD_MODEL + name: value.astype(np.float16 if value.ndim == 2 else np.float32) for name, value in found.items()
     }
 
 
-def familiarity_shapes(tensors: Mapping[str, StoredTensor], size: int) -> Shapes:
-    """Shapes of `familiarity_arrays` in a file whose network gives so many features; empty if it has none of them.
+def ood_model_shapes(tensors: Mapping[str, StoredTensor], size: int) -> Shapes:
+    """Shapes of `ood_model_arrays` in a file whose network gives so many features; empty if it has none of them.
 
     The tensor of exemplars determines how many exemplars and axes there should be.
     """
-    if not any(name.startswith(FAMILIARITY) for name in tensors):
+    if not any(name.startswith(OOD_MODEL) for name in tensors):
         return {}
-    exemplars = tensors.get(FAMILIARITY + "exemplars")
+    exemplars = tensors.get(OOD_MODEL + "exemplars")
     shape = exemplars.shape if exemplars is not None and len(exemplars.shape) == 2 else (1, 1)
     count, axes = (max(1, number) for number in shape)
     shapes = {
         "centre": (size,), "scale": (size,), "axes": (size, axes), "stretch": (axes,), "exemplars": (count, axes),
         "own_distance": (), "threshold": (),
     }  # fmt: skip
-    return {FAMILIARITY + name: (shape, "float32") for name, shape in shapes.items()}
+    return {OOD_MODEL + name: (shape, "float32") for name, shape in shapes.items()}
 
 
-def read_familiarity(path: Path, tensors: Mapping[str, StoredTensor]) -> Familiarity:
-    """Familiarity from tensors that were checked.
+def read_ood_model(path: Path, tensors: Mapping[str, StoredTensor]) -> OodModel:
+    """OodModel from tensors that were checked.
 
     Raises:
         CheckpointError: values that cannot be used.
     """
-    found = {name: float32(tensors[FAMILIARITY + name]) for name in (f.name for f in fields(Familiarity))}
+    found = {name: float32(tensors[OOD_MODEL + name]) for name in (f.name for f in fields(OodModel))}
     try:
         own_distance, threshold = (float(found.pop(name)) for name in ("own_distance", "threshold"))
-        return Familiarity(**found, own_distance=own_distance, threshold=threshold)
+        return OodModel(**found, own_distance=own_distance, threshold=threshold)
     except VaporTrackError as error:
         raise CheckpointError(f"{path}: {error}") from error
 

@@ -10,7 +10,7 @@ from typing import Annotated
 import tyro
 from rich.table import Table
 
-from filtering.error_model import Six
+from filtering.measurement_noise import Six
 from sequences.options import SequenceOptions
 from sequences.outputs import refuse_other
 from vapor.calibration.calibrate import CalibrationResult
@@ -37,7 +37,7 @@ class Options:
     training: Annotated[tuple[str, ...], tyro.conf.arg(metavar="DATA ...")] = ()
     """Data that it was trained on, or some of them: from these it learns what the place looks like, where it does not
     know that (`train --no-calibrate`) or is to learn it again; without them, from half of the held-out data."""
-    familiarity_only: bool = False
+    ood_only: bool = False
     """Learn only what the place looks like, and leave the rest as it is."""
     same_conditions: bool = False
     """The held-out data are of the hours, the light and the seasons of use. Mistakes about the place then count for as
@@ -66,7 +66,7 @@ def main(arguments: Sequence[str]) -> None:
             o.data,
             o.output,
             training=o.training,
-            familiarity_only=o.familiarity_only,
+            ood_only=o.ood_only,
             same_conditions=o.same_conditions,
             max_images=o.images,
             seed=o.seed,

@@ -17,7 +17,7 @@ from rich.table import Table
 from rich.text import Text
 
 from filtering.errors import VaporTrackError, shortened
-from vapor.commands.terminal import color_system, raise_of_output, say, width, wrapped, write
+from vapor.commands.terminal import color_system, raise_of_output, width, wrapped, write, write_error
 from vapor.storage import is_url, local_path
 
 Options = TypeVar("Options")
@@ -126,7 +126,7 @@ def _unboxed(text: str) -> str:
 
 def usage_error(command: str, message: str, program: str = "vapor-track") -> NoReturn:
     """Exit with status 2 and one line."""
-    say(f"{program} {command}: {message}")
+    write_error(f"{program} {command}: {message}")
     sys.exit(2)
 
 

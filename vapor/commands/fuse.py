@@ -64,4 +64,4 @@ def main(arguments: Sequence[str]) -> None:
             command=command_line("fuse", arguments),
         )
     title = ", ".join(path.name for path in o.estimates)
-    show_run(result, o.output, title=title, recording=o.config.recording, tail=True)
+    show_run(result, o.output, title=title, recording=o.config.recording, large_errors=True)

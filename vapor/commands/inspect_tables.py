@@ -117,19 +117,19 @@ def _coverage_lines(found: Inspection, coverage: Coverage) -> Iterator[str]:
         yield f"{segment} are shown by no other {what}"
     if len(segments) > _NAMED:
         yield f"and {len(segments) - _NAMED} shorter ones"
-    floors = coverage.floors()
-    for number, floor in reversed(list(enumerate(floors, 1))):
-        count = len(floor.names)
-        who = f"{floor.names[0]} alone" if count == 1 else f"{count} of {len(coverage.images.names)} recordings"
-        late = f", only in their last {100 * floor.late:.0f} %" if floor.late is not None else ""
-        trained = f", {floor.trained} of them trained on" if coverage.split.held_out_mask.any() and count > 1 else ""
+    storeys = coverage.storeys()
+    for number, storey in reversed(list(enumerate(storeys, 1))):
+        count = len(storey.names)
+        who = f"{storey.names[0]} alone" if count == 1 else f"{count} of {len(coverage.images.names)} recordings"
+        late = f", only in their last {100 * storey.late:.0f} %" if storey.late is not None else ""
+        trained = f", {storey.trained} of them trained on" if coverage.split.held_out_mask.any() and count > 1 else ""
         yield (
-            f"floor {number} of {len(floors)} ({height(floor.low_m, floor.high_m)}): {floor.images} images, shown by"
-            f" {who}{late}{trained}"
+            f"storey {number} of {len(storeys)} ({height(storey.low_m, storey.high_m)}): {storey.images} images,"
+            f" shown by {who}{late}{trained}"
         )
     yield from found.notices
     for note in coverage.split.notes:
-        yield f"`train` would say: {note}"
+        yield f"`train` would report: {note}"
 
 
 def _odometry_lines(found: Inspection) -> Iterator[str]:
@@ -138,7 +138,7 @@ def _odometry_lines(found: Inspection) -> Iterator[str]:
         reasons = dict.fromkeys(walk.lacks["odometry"] for walk in found.walks if "odometry" in walk.lacks)
         if not reasons and found.coverage is None:
             reasons = {"there are no true poses to compare it with": None}
-        yield "nothing can be said: " + ("; ".join(reasons) or "no two images in a row have both it and true poses")
+        yield "unknown: " + ("; ".join(reasons) or "no two images in a row have both it and true poses")
         return
     axes = check.axes
     if axes is None:
@@ -180,7 +180,7 @@ def _clock_lines(clocks: Sequence[ImageClock]) -> Iterator[str]:
 
 
 def _camera_lines(check: CameraCheck) -> Iterator[str]:
-    yield check.said
+    yield check.in_words
     if (camera := check.found) is not None and check.fit is not None:
         yield (
             f"what fits at {camera.width} x {camera.height} pixels: fx {camera.fx:.1f}, fy {camera.fy:.1f}, cx"
@@ -197,8 +197,8 @@ def _model_lines(predictions: Predictions, coverage: Coverage | None) -> Iterato
         f" of the samples lie within {figures['median_spread_m']:.2g} m (median)"
     )
     yield (
-        f"unfamiliarity {figures['median_unfamiliarity']:.2f} (median; above 1 is foreign:"
-        f" {100 * predictions.foreign:.0f} % of the images)"
+        f"OOD score {figures['median_ood_score']:.2f} (median; above 1 is out of distribution:"
+        f" {100 * predictions.out_of_distribution:.0f} % of the images)"
     )
     if coverage is None:
         return

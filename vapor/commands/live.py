@@ -32,7 +32,7 @@ class Options:
 def main(arguments: Sequence[str]) -> None:
     """Run the command with the words after `live`."""
     options = parse("live", Options, arguments)
-    localization = live(options.model, options.config, system=options.system, reading=options.reading, tell=_say)
+    localization = live(options.model, options.config, system=options.system, reading=options.reading, notify=_print)
     begin_s = time.monotonic()
     with suppress(KeyboardInterrupt):  # by which a robot's localization ends
         localization.run()
@@ -40,6 +40,6 @@ def main(arguments: Sequence[str]) -> None:
     show_skipped(localization.skipped)
 
 
-def _say(line: str) -> None:
+def _print(line: str) -> None:
     show(f"{time.strftime('%H:%M:%S')} {line}")
     flush_output()

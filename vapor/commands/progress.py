@@ -13,7 +13,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from vapor.commands.terminal import color_system, say
+from vapor.commands.terminal import color_system, write_error
 
 LOG_EVERY_S = 10.0
 """Of lines in a log: least time between two."""
@@ -129,7 +129,7 @@ class Progress:
     def _log(self, text: str) -> None:
         if not self.at_terminal:
             self._logged_s = self._clock()
-            say(text)
+            write_error(text)
 
 
 @contextmanager

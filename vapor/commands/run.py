@@ -27,8 +27,8 @@ from vapor.commands.console import (
 from vapor.commands.progress import progress
 from vapor.commands.terminal import results_are_complete
 from vapor.commands.workers import Scheduler, workers_for
+from vapor.pipeline.batch import SUMMARY, Outcome, find_sequences, format_batch, is_batch, run_batch, total
 from vapor.pipeline.config import RunConfig
-from vapor.pipeline.fleet import SUMMARY, Outcome, find_sequences, format_fleet, is_fleet, run_fleet, total
 from vapor.pipeline.results import RunResult
 from vapor.pipeline.run import run
 from vapor.reporting.report import format_table
@@ -65,8 +65,8 @@ def main(arguments: Sequence[str]) -> None:
     options, command = parse("run", Options, arguments), command_line("run", arguments)
     if not options.sequences:
         usage_error("run", "no sequence, expected at least one MCAP file or rosbag2 folder")
-    if is_fleet(options.sequences):
-        _run_fleet(options, command)
+    if is_batch(options.sequences):
+        _run_batch(options, command)
     elif options.scheduler is not None:
         usage_error("run", "--scheduler for one sequence, expected several")
     else:
@@ -89,12 +89,12 @@ def _run_one(options: Options, command: str) -> None:
     show_run(result, options.output, title=sequence.name, recording=options.config.recording)
 
 
-def show_run(result: RunResult, output: Path, *, title: str, recording: bool, tail: bool = False) -> None:
+def show_run(result: RunResult, output: Path, *, title: str, recording: bool, large_errors: bool = False) -> None:
     """Print figures, status, counts of images, and the paths of the results of a run; few images come last."""
     results_are_complete()
     report = result.report
     if report["frames_with_true_pose"]:
-        show(format_table(report, title=title, tail=tail))
+        show(format_table(report, title=title, large_errors=large_errors))
     status = ", ".join(f"{100 * fraction:.0f} % {name}" for name, fraction in report["status"].items())
     show(f"{report['frames']} images: {status}")
     if "verified" in report:
@@ -109,7 +109,7 @@ def show_run(result: RunResult, output: Path, *, title: str, recording: bool, ta
         show(result.few_images)
 
 
-def _run_fleet(options: Options, command: str) -> None:
+def _run_batch(options: Options, command: str) -> None:
     sequences = find_sequences(options.sequences, options.output)
     numbers = {name: f"{name}, {number} of {len(sequences)}" for number, name in enumerate(sequences, start=1)}
     outcomes: list[Outcome] = []
@@ -118,7 +118,7 @@ def _run_fleet(options: Options, command: str) -> None:
             workers_for("run", options.workers, options.scheduler) as workers,
             progress("localizing", "images" if workers.are_this_process else "sequences") as shown,
         ):
-            for outcome in run_fleet(
+            for outcome in run_batch(
                 sequences,
                 options.model,
                 options.output,
@@ -142,8 +142,8 @@ def _run_fleet(options: Options, command: str) -> None:
 
 
 def show_outcomes(outcomes: Sequence[Outcome], output: Path) -> None:
-    """Print the table of a fleet, and errors and skipped images of each sequence."""
-    show(format_fleet(outcomes))
+    """Print the table of a batch, and errors and skipped images of each sequence."""
+    show(format_batch(outcomes))
     for outcome in outcomes:
         few = [] if outcome.few_images is None else [outcome.few_images]
         if outcome.error is not None or outcome.skipped or outcome.notices or few:

@@ -27,7 +27,7 @@ def encode_anything() -> None:
             stream.reconfigure(errors="replace")
 
 
-def say(message: str) -> None:
+def write_error(message: str) -> None:
     """Print one line on standard error, of at most `MAX_MESSAGE` characters; nothing if it cannot be written to."""
     if sys.stderr is None:  # closed by the shell
         return
@@ -142,7 +142,9 @@ class Signals:
         number = self.received or signal.SIGINT
         if not self.silent:
             self.silent = True
-            say(f"{self.prefix}: interrupted{'' if number == signal.SIGINT else f' by {signal.Signals(number).name}'}")
+            write_error(
+                f"{self.prefix}: interrupted{'' if number == signal.SIGINT else f' by {signal.Signals(number).name}'}"
+            )
         return 128 + number
 
     def _handle(self, number: int, _: FrameType | None) -> None:

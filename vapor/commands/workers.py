@@ -9,7 +9,7 @@ from typing import Annotated
 
 import tyro
 
-from vapor.commands.terminal import say
+from vapor.commands.terminal import write_error
 from vapor.parallel.cluster import connected
 from vapor.parallel.jobs import Workers
 
@@ -27,18 +27,18 @@ Scheduler = Annotated[
 def workers_for(command: str, processes: int, scheduler: str | None, program: str = "vapor-track") -> Iterator[Workers]:
     """So many processes here, or the workers of a scheduler; their messages are printed on standard error."""
 
-    def tell(line: str) -> None:
-        say(f"{program} {command}: {line}")
+    def notify(line: str) -> None:
+        write_error(f"{program} {command}: {line}")
 
     if scheduler is None:
-        yield Workers(processes, tell=tell)
+        yield Workers(processes, notify=notify)
         return
     hush_dask()
-    with connected(scheduler, tell) as cluster:
+    with connected(scheduler, notify) as cluster:
         seen = f"dashboard {cluster.dashboard}" if cluster.dashboard else "no dashboard"
         waiting = "" if cluster.size else "; waits for the first"
-        tell(f"{scheduler} has {cluster.size} worker{'s' * (cluster.size != 1)}{waiting}, {seen}")
-        yield Workers(processes, cluster, tell)
+        notify(f"{scheduler} has {cluster.size} worker{'s' * (cluster.size != 1)}{waiting}, {seen}")
+        yield Workers(processes, cluster, notify)
 
 
 def hush_dask() -> None:

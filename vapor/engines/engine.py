@@ -42,7 +42,7 @@ class Seen:
     Attributes:
         translation: Positions of its posterior samples, metres, world_from_camera.
         rotation: Their rotation matrices.
-        description: Input of `Familiarity`; empty where the model has none.
+        description: Input of `OodModel`; empty where the model has none.
     """
 
     translation: Float32[np.ndarray, "m 3"]

@@ -140,7 +140,7 @@ def compile_exported(model: ModelDescription, precision: Precision, threads: int
         raise CheckpointError(
             f"{model.file}: OpenVINO cannot compile its network ({last_line(error)}), expected the file as written"
         ) from error
-    size, known = model.network, model.familiarity
+    size, known = model.network, model.ood_model
     expected = f"image u8 [{size.image_height},{size.image_width},3], noise f32 [?,d], {_POSES}"
     expected += f", description f32 [{len(known.centre)}]" if known is not None else ""
     if _NOISE.sub("noise f32 [?,d]", found) != expected:

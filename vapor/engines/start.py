@@ -109,7 +109,7 @@ def _openvino(
     described = model if isinstance(model, ModelDescription) else model.description
     variant = Variant(
         described.network_sha256,
-        described.familiarity is not None,
+        described.ood_model is not None,
         config.precision,
         openvino_engine.processor(),
         openvino_engine.version(),
@@ -121,7 +121,7 @@ def _openvino(
     if kept is not None:
         try:
             return openvino_engine.OpenVINOEngine(openvino_engine.compiled_network(kept.blob, precision, threads))
-        except RuntimeError:  # OpenVINO's way to say that the network is of another build: it is compiled again
+        except RuntimeError:  # OpenVINO raises it for a network of another build: it is compiled again
             pass
     if exported:
         compiled, torch = openvino_engine.compile_exported(described, precision, threads), None

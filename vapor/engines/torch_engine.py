@@ -91,12 +91,12 @@ class _Recorded:
 
 
 class WholeNetwork(nn.Module):
-    """One image and noise in; positions, rotations and, for a model with familiarity, a description out."""
+    """One image and noise in; positions, rotations and, for a model with ood_model, a description out."""
 
     def __init__(self, checkpoint: Checkpoint) -> None:
         super().__init__()
         self.network = checkpoint.build_network()
-        self.described = checkpoint.familiarity is not None
+        self.described = checkpoint.ood_model is not None
         self._describer = Describer(self.network) if self.described else None
 
     def forward(

@@ -14,7 +14,7 @@ from scipy.special import chdtri
 from filtering.estimate import STATUSES, Mode
 from filtering.se3 import Poses
 from sequences.frame import Trajectory
-from vapor.evaluation.floors import once_on_floor
+from vapor.evaluation.storeys import once_on_storey
 from vapor.evaluation.trajectory import SURE, associate, is_right
 from vapor.tracking.loop import Belief
 
@@ -64,7 +64,7 @@ def evaluate_belief(
     *,
     converged_at_s: float | None,
     kidnap_index: int | None,
-    floor_height_m: float | None = None,
+    storey_height_m: float | None = None,
 ) -> dict[str, Any]:
     """All figures on the confidence of a method.
 
@@ -74,16 +74,16 @@ def evaluate_belief(
         truth: True poses, batch (n,).
         converged_at_s: Of `evaluate_trajectory`.
         kidnap_index: First image after the camera was carried off; None where it was not.
-        floor_height_m: From floor to floor, where floors look alike.
+        storey_height_m: From storey to storey, where storeys look alike.
 
     Returns:
-        `status`: fraction of the images by status. `said_converged`, `after_convergence`, `all_images`:
+        `status`: fraction of the images by status. `converged_images`, `after_convergence`, `all_images`:
         `evaluate_consistency` over the images of that status, those from `converged_at_s` on, and all.
         `truth_among_modes`: fraction of the images with a mode within 0.3 m and 20° of the truth. `longest_wrong_s`:
         longest time with status "converged" and wrong in all images. `false_recoveries`: their number, see
         `count_false_recoveries`. `kidnap`: None, or whether the last image before was `right_before`, and `images` as
-        `recovery_images`. `on_floor`, with `floor_height_m`: `evaluate_consistency` over the images from when on its
-        floor is right.
+        `recovery_images`. `on_storey`, with `storey_height_m`: `evaluate_consistency` over the images from when on its
+        storey is right.
     """
     best = belief.best
     trajectory, true_trajectory = Trajectory(times_ns, best), Trajectory(times_ns, truth)
@@ -93,9 +93,9 @@ def evaluate_belief(
     elapsed_s = (times_ns - times_ns[0]) / 1e9
     after = np.zeros(len(sure), bool) if converged_at_s is None else elapsed_s >= converged_at_s - 1e-9
     right, error_m = is_right(best, truth), best.distance(truth)[0]
-    over = {"said_converged": sure, "after_convergence": after, "all_images": np.ones(len(sure), bool)}
-    if floor_height_m is not None:
-        over["on_floor"] = once_on_floor(best, truth, floor_height_m)
+    over = {"converged_images": sure, "after_convergence": after, "all_images": np.ones(len(sure), bool)}
+    if storey_height_m is not None:
+        over["on_storey"] = once_on_storey(best, truth, storey_height_m)
     kidnap = None
     if kidnap_index is not None:
         images = recovery_images(right, kidnap_index=kidnap_index)

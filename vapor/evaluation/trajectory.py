@@ -27,7 +27,7 @@ RIGHT = "0.3m/20deg"
 """The threshold within which a pose counts as right."""
 
 TAIL_M: Mapping[str, float] = MappingProxyType({"0.1m": 0.1, "0.25m": 0.25, "0.5m": 0.5})
-"""Translation errors in metres beyond which images are counted: medians do not show the tail."""
+"""Translation errors in metres beyond which images are counted: medians do not show large ones."""
 
 SURE = 0.95
 """Fraction of the remaining images that must be right once a method has converged."""

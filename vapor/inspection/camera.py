@@ -107,10 +107,10 @@ class CameraCheck:
         return self.fit is not None and self.fit.known and self.fit.is_better and self.fit.apart_px > _SAME_PX
 
     @property
-    def said(self) -> str:
+    def in_words(self) -> str:
         """The finding, in a sentence without its end."""
         if self.fit is None or self.camera is None:
-            return f"nothing can be said: {self.unknown}"
+            return f"unknown: {self.unknown}"
         return self.fit.in_words(self.camera.width)
 
     @property

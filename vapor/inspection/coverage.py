@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from filtering.floors import find_floors, up_axis
 from filtering.se3 import Poses
+from filtering.storeys import find_storeys, up_axis
 from vapor.training.config import TrainConfig
 from vapor.training.holding_out import AWAY, WHOLE_OF, Split, hold_out, long_runs, shown_by, way_of
 from vapor.training_data.ground import DIRECTION_RAD, runs
@@ -81,7 +81,8 @@ def _round(value: float) -> float:
 class Segment:
     """Images in a row of one recording, first to last: numbers count its images with a true pose, from 0.
 
-    Heights, in metres, are of the lowest and the highest; most images are on the floor with the number `floor`, from 0.
+    Heights, in metres, are of the lowest and the highest; most images are on the storey with the number `storey`, from
+    0.
     """
 
     name: str
@@ -89,15 +90,15 @@ class Segment:
     last: int
     low_m: float
     high_m: float
-    floor: int
+    storey: int
 
     def __str__(self) -> str:
         return f"{self.name}: images {self.first} to {self.last} ({height(self.low_m, self.high_m)})"
 
 
 @dataclass(frozen=True)
-class Floor:
-    """One of several floors: heights in metres of its lowest and highest camera, its images, and the recordings there.
+class Storey:
+    """One of several storeys: heights in metres of its lowest and highest camera, its images, and the recordings there.
 
     `trained` of these are not held out as a whole. `late` is the last fraction of each recording's images, before which
     none shows it; None where one does.
@@ -113,12 +114,12 @@ class Floor:
 
 @dataclass(frozen=True)
 class Cell:
-    """A square of the map: floor from 0, column from the left, row from below.
+    """A square of the map: storey from 0, column from the left, row from below.
 
     `passes` came near it, of which `looked` counts those that looked each way, by direction (`Plan.sectors`).
     """
 
-    floor: int
+    storey: int
     column: int
     row: int
     passes: int
@@ -176,9 +177,9 @@ class Coverage:
         return np.floor((self.places[:, :2] - self.places[:, :2].min(axis=0)) / self.plan.cell_m).astype(np.int64)
 
     @cached_property
-    def floor(self) -> Int64[np.ndarray, " n"]:
-        """The floor of each image, from 0."""
-        return find_floors(self.places[:, 2], self.cells[:, 0] * (self.cells[:, 1].max() + 1) + self.cells[:, 1])[0]
+    def storey(self) -> Int64[np.ndarray, " n"]:
+        """The storey of each image, from 0."""
+        return find_storeys(self.places[:, 2], self.cells[:, 0] * (self.cells[:, 1].max() + 1) + self.cells[:, 1])[0]
 
     @cached_property
     def sectors(self) -> Int64[np.ndarray, " n"]:
@@ -188,11 +189,11 @@ class Coverage:
     @cached_property
     def passes(self) -> list[Cell]:
         """The cells of the map that have an image."""
-        keys, index = np.unique(np.column_stack([self.floor, self.cells]), axis=0, return_inverse=True)
+        keys, index = np.unique(np.column_stack([self.storey, self.cells]), axis=0, return_inverse=True)
         index, near_m = index.ravel(), self.split.near_m
         position, ahead = self.images.poses.translation, self.images.poses.rotation[:, :, 2]
         found = []
-        for number, (floor, column, row) in enumerate(keys.tolist()):
+        for number, (storey, column, row) in enumerate(keys.tolist()):
             own = np.flatnonzero(index == number)
             apart_m = np.linalg.norm(position - position[own].mean(axis=0), axis=1)
             near, away = apart_m <= near_m, apart_m > AWAY * near_m
@@ -203,7 +204,7 @@ class Coverage:
                 looks = near & (alike >= np.cos(DIRECTION_RAD))
                 looks[own[self.sectors[own] == sector]] = True
                 looked[sector] = _visits(looks, away | (alike < 0.0), self.images.sequence)
-            found.append(Cell(floor, column, row, _visits(near, away, self.images.sequence), looked))
+            found.append(Cell(storey, column, row, _visits(near, away, self.images.sequence), looked))
         return found
 
     def alone(self) -> list[Segment]:
@@ -218,24 +219,24 @@ class Coverage:
             if len(rows):
                 number, heights = int(sequence[run.start]), self.places[rows[0] : rows[-1] + 1, 2]
                 first, last = (rows[[0, -1]] - int(np.argmax(sequence == number))).tolist()
-                floor = int(np.bincount(self.floor[rows[0] : rows[-1] + 1]).argmax())
+                storey = int(np.bincount(self.storey[rows[0] : rows[-1] + 1]).argmax())
                 low_m, high_m = float(heights.min()), float(heights.max())
-                found.append(Segment(self.images.names[number], first, last, low_m, high_m, floor))
+                found.append(Segment(self.images.names[number], first, last, low_m, high_m, storey))
         return sorted(found, key=lambda segment: segment.first - segment.last)
 
-    def floors(self) -> list[Floor]:
+    def storeys(self) -> list[Storey]:
         """From the lowest up; empty where there is one only."""
-        if self.floor.max() == 0:
+        if self.storey.max() == 0:
             return []
         found = []
         sequence, kept = self.images.sequence, np.isin(self.images.rows, self.split.training.rows)
-        for number in range(int(self.floor.max()) + 1):
-            on_it = self.floor == number
+        for number in range(int(self.storey.max()) + 1):
+            on_it = self.storey == number
             recordings = np.unique(sequence[on_it])
             first = min(float(np.argmax(on_it[sequence == own])) / (sequence == own).sum() for own in recordings)
             heights = self.places[on_it, 2]
             found.append(
-                Floor(
+                Storey(
                     float(heights.min()),
                     float(heights.max()),
                     int(on_it.sum()),
@@ -254,8 +255,8 @@ class Coverage:
             "cell_m": self.plan.cell_m,
             "judged_by": "recordings" if self.by_recordings else "passes",
             "shown_by_others": {str(i) if i < 4 else "4 or more": float(v) for i, v in enumerate(counts)},
-            "alone": [vars(segment) | {"said": str(segment)} for segment in self.alone()],
-            "floors": [vars(floor) for floor in self.floors()],
+            "alone": [vars(segment) | {"description": str(segment)} for segment in self.alone()],
+            "storeys": [vars(storey) for storey in self.storeys()],
             "held_out": int(self.split.held_out_mask.sum()),
             "holding_out": list(self.split.notes),
         }

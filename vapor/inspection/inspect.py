@@ -104,8 +104,8 @@ def inspect(
     if model is not None:
         posed = np.concatenate([walk.posed for walk in walks])
         predictions = Predictions.of(predicted, images.poses if images is not None else walks[0].poses, posed)
-        if predictions.foreign > _MOST and isinstance(model, VaporObservationModel):
-            predictions = replace(predictions, why_foreign=why_unrecognised(some.items, model.unfamiliarity))
+        if predictions.out_of_distribution > _MOST and isinstance(model, VaporObservationModel):
+            predictions = replace(predictions, why_out_of_distribution=why_unrecognised(some.items, model.ood_score))
     clocks = tuple(ImageClock.of(walk) for walk in walks)
     found = verdict(walks, coverage, odometry, clocks, predictions, camera)
     return Inspection(tuple(walks), coverage, odometry, clocks, camera, predictions, notices, found)

@@ -1,4 +1,4 @@
-"""The map of recordings from above, a panel a floor: passes near each place, and their directions."""
+"""The map of recordings from above, a panel a storey: passes near each place, and their directions."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 _SEEN = ("#d55e00", "#f0b66b", "#9ecae1", "#4292c6", "#08519c")  # by one pass, two, ... five and more
 _PANEL, _LARGEST, _WIDEST = 4.6, 9.0, 16.0  # inches
-_MOST_FLOORS = 12
+_MOST_STOREYS = 12
 _WRONG_M = (0.05, 3.0)  # of the colour scale of errors
 
 
@@ -26,8 +26,8 @@ def draw_map(path: Path, coverage: Coverage, predictions: Predictions | None = N
 
     The picture appears under its name only when complete.
     """
-    floors = coverage.floors()
-    count = min(max(len(floors), 1), _MOST_FLOORS)
+    storeys = coverage.storeys()
+    count = min(max(len(storeys), 1), _MOST_STOREYS)
     rows = 1 if predictions is None else 2
     low, high = coverage.places[:, :2].min(axis=0), coverage.places[:, :2].max(axis=0)
     pad = coverage.plan.cell_m
@@ -40,15 +40,15 @@ def draw_map(path: Path, coverage: Coverage, predictions: Predictions | None = N
     axes = figure.subplots(lines, columns, squeeze=False)
     for ax in axes.flat:
         ax.set_axis_off()
-    for floor in range(count):
-        ax = axes[floor // columns, floor % columns]
-        title = f"floor {floor + 1} ({height(floors[floor].low_m, floors[floor].high_m)})" if floors else ""
+    for storey in range(count):
+        ax = axes[storey // columns, storey % columns]
+        title = f"storey {storey + 1} ({height(storeys[storey].low_m, storeys[storey].high_m)})" if storeys else ""
         _prepare(ax, coverage, low - pad, high + pad, title)
-        _draw_passes(ax, coverage, floor)
+        _draw_passes(ax, coverage, storey)
         if predictions is not None:
-            ax = axes[lines // 2 + floor // columns, floor % columns]
+            ax = axes[lines // 2 + storey // columns, storey % columns]
             _prepare(ax, coverage, low - pad, high + pad, title)
-            drawn = _draw_errors(ax, coverage, predictions, floor)
+            drawn = _draw_errors(ax, coverage, predictions, storey)
             figure.colorbar(drawn, ax=ax, shrink=0.7, label="median error [m]")
     _legend(figure, predictions is not None)
     names = coverage.images.names
@@ -74,7 +74,7 @@ def _corner(coverage: Coverage, column: int, row: int) -> np.ndarray:
     return coverage.places[:, :2].min(axis=0) + np.array([column, row]) * coverage.plan.cell_m
 
 
-def _draw_passes(ax: Axes, coverage: Coverage, floor: int) -> None:
+def _draw_passes(ax: Axes, coverage: Coverage, storey: int) -> None:
     """Cells by the number of passes; in each a mark for every direction, dark where two passes or more looked so."""
     from matplotlib.collections import LineCollection, PatchCollection
     from matplotlib.patches import Rectangle
@@ -82,7 +82,7 @@ def _draw_passes(ax: Axes, coverage: Coverage, floor: int) -> None:
     side = coverage.plan.cell_m
     cells, colors, marks, inks, steep = [], [], [], [], []
     for cell in coverage.passes:
-        if cell.floor != floor:
+        if cell.storey != storey:
             continue
         corner = _corner(coverage, cell.column, cell.row)
         cells.append(Rectangle((float(corner[0]), float(corner[1])), side, side))
@@ -104,14 +104,14 @@ def _draw_passes(ax: Axes, coverage: Coverage, floor: int) -> None:
         ax.plot(*np.array(steep).T, ".", color="#000000", markersize=4)
 
 
-def _draw_errors(ax: Axes, coverage: Coverage, predictions: Predictions, floor: int):
+def _draw_errors(ax: Axes, coverage: Coverage, predictions: Predictions, storey: int):
     """Cells by the median error of their images; a ring about those of which most may be in several places."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.collections import PatchCollection
     from matplotlib.colors import LogNorm
     from matplotlib.patches import Rectangle
 
-    side, on_it = coverage.plan.cell_m, np.flatnonzero(coverage.floor == floor)
+    side, on_it = coverage.plan.cell_m, np.flatnonzero(coverage.storey == storey)
     scale = ScalarMappable(LogNorm(*_WRONG_M), "viridis_r")
     places = predictions.places[predictions.posed]
     if len(on_it):

@@ -30,7 +30,7 @@ class Prediction(NamedTuple):
     places: int
     spread_m: float
     best: Poses | None
-    unfamiliarity: float
+    ood_score: float
 
     @staticmethod
     def of(posterior: PosePosterior) -> Prediction:
@@ -39,7 +39,7 @@ class Prediction(NamedTuple):
         centre = posterior.samples.translation.mean(axis=0) if best is None else best.translation
         apart_m = np.linalg.norm(posterior.samples.translation - centre, axis=1)
         places = int((posterior.weights >= _COUNTED).sum())
-        return Prediction(places, float(np.quantile(apart_m, _REACH)), best, posterior.unfamiliarity)
+        return Prediction(places, float(np.quantile(apart_m, _REACH)), best, posterior.ood_score)
 
 
 @dataclass(frozen=True)
@@ -71,17 +71,17 @@ class Predictions:
     """Predictions of a model for n images, of which k have true poses (`posed`, (n,)).
 
     Errors, metres, are of the best places (k,), and NaN without a place; `right` is within 0.3 m and 20°. Why most
-    images look unlike the training images stands in `why_foreign`, which is empty where they do not.
+    images look unlike the training images stands in `why_out_of_distribution`, which is empty where they do not.
     """
 
     places: Int64[np.ndarray, " n"]
     spread_m: Float64[np.ndarray, " n"]
-    unfamiliarity: Float64[np.ndarray, " n"]
+    ood_score: Float64[np.ndarray, " n"]
     error_m: Float64[np.ndarray, " k"]
     right: Bool[np.ndarray, " k"]
     posed: Bool[np.ndarray, " n"]
     best: Poses
-    why_foreign: str = ""
+    why_out_of_distribution: str = ""
 
     @staticmethod
     def of(predicted: Sequence[Prediction], truth: Poses, posed: Bool[np.ndarray, " n"]) -> Predictions:
@@ -94,21 +94,21 @@ class Predictions:
         if known.any():
             error_m[known] = best[known].distance(truth[known])[0]
             right[known] = is_right(best[known], truth[known])
-        places, spread_m, _, unfamiliarity = zip(*predicted, strict=True)
-        figures = np.array(places, np.int64), np.array(spread_m), np.array(unfamiliarity)
+        places, spread_m, _, ood_score = zip(*predicted, strict=True)
+        figures = np.array(places, np.int64), np.array(spread_m), np.array(ood_score)
         return Predictions(*figures, error_m, right, posed, best)
 
     def weak_places(self, coverage: Coverage) -> list[WeakPlace]:
         """Places where most images are wrong, from the most of them down."""
         passes = {
-            (cell.floor, cell.column, cell.row, sector): number
+            (cell.storey, cell.column, cell.row, sector): number
             for cell in coverage.passes
             for sector, number in cell.looked.items()
         }
-        keys = np.column_stack([coverage.floor, coverage.cells, coverage.sectors])
+        keys = np.column_stack([coverage.storey, coverage.cells, coverage.sectors])
         groups, group = np.unique(keys, axis=0, return_inverse=True)
         group, found = group.ravel(), []
-        for number, (floor, column, row, sector) in enumerate(groups.tolist()):
+        for number, (storey, column, row, sector) in enumerate(groups.tolist()):
             own = np.flatnonzero(group == number)
             wrong = int((~self.right[own]).sum())
             if wrong < _LEAST_IMAGES or wrong < _WRONG_FRACTION * len(own):
@@ -122,7 +122,7 @@ class Predictions:
                 len(own),
                 median_m if np.isfinite(median_m) else 0.0,
                 int(np.median(self.places[self.posed][own])),
-                passes[floor, column, row, sector],
+                passes[storey, column, row, sector],
             )
             found.append((wrong, place))
         return [place for _, place in sorted(found, key=lambda each: -each[0])]
@@ -133,9 +133,9 @@ class Predictions:
         return float((self.places > 1).mean())
 
     @property
-    def foreign(self) -> float:
+    def out_of_distribution(self) -> float:
         """Fraction of the images that look like those of another place."""
-        return float((self.unfamiliarity > 1.0).mean())
+        return float((self.ood_score > 1.0).mean())
 
     def as_json(self, coverage: Coverage | None) -> dict[str, Any]:
         """Figures for the report."""
@@ -143,13 +143,13 @@ class Predictions:
         return {
             "images": len(self.places),
             "ambiguous": self.ambiguous,
-            "foreign": self.foreign,
-            "why_foreign": self.why_foreign,
+            "out_of_distribution": self.out_of_distribution,
+            "why_out_of_distribution": self.why_out_of_distribution,
             "median_spread_m": float(np.median(self.spread_m)),
-            "median_unfamiliarity": float(np.median(self.unfamiliarity)),
+            "median_ood_score": float(np.median(self.ood_score)),
             "median_error_m": float(np.median(known)) if len(known) else None,
             "right": float(self.right.mean()) if len(self.right) else None,
             "weak_places": []
             if coverage is None
-            else [vars(place) | {"said": str(place)} for place in self.weak_places(coverage)],
+            else [vars(place) | {"description": str(place)} for place in self.weak_places(coverage)],
         }

@@ -28,7 +28,7 @@ _SCALE, _CERTAIN = 0.05, 3.0  # the last in standard errors
 _TOO_FAST_M_PER_S = 50.0  # for what carries a camera
 _DIM = 30.0  # mean of the grey image, of 255
 _UNKNOWN = 0.05  # of the images
-_SCARCE = 0.5  # of what a floor would have if all had as many images
+_SCARCE = 0.5  # of what a storey would have if all had as many images
 _NAMED = 3
 
 
@@ -53,7 +53,7 @@ def verdict(
     if camera is not None and camera.disagrees:
         found.append(
             "correct the intrinsics (camera_info, intrinsics.json), or leave them to `train`, which takes for landmarks"
-            f" what fits: {camera.said}"
+            f" what fits: {camera.in_words}"
         )
     found += _without(walks)
     if coverage is not None and predictions is not None:
@@ -166,28 +166,28 @@ def _coverage(coverage: Coverage) -> Iterator[str]:
             " images err, and not find it"
         )
     several = len(coverage.images.names) > 1
-    floors = coverage.floors()
+    storeys = coverage.storeys()
     named = set()
-    for number, floor in enumerate(floors):
-        name = f"floor {number + 1} of {len(floors)} ({height(floor.low_m, floor.high_m)})"
-        if several and len(floor.names) == 1:
+    for number, storey in enumerate(storeys):
+        name = f"storey {number + 1} of {len(storeys)} ({height(storey.low_m, storey.high_m)})"
+        if several and len(storey.names) == 1:
             named.add(number)
-            yield f"record {name} in another walk: only {floor.names[0]} comes there"
-        elif several and floor.trained <= 1:
+            yield f"record {name} in another walk: only {storey.names[0]} comes there"
+        elif several and storey.trained <= 1:
             named.add(number)
             yield (
-                f"record {name} in another walk: of the {len(floor.names)} recordings that come there"
-                f" {floor.trained or 'none'} would be trained on"
+                f"record {name} in another walk: of the {len(storey.names)} recordings that come there"
+                f" {storey.trained or 'none'} would be trained on"
             )
-        elif floor.images < _SCARCE * sum(each.images for each in floors) / len(floors):
+        elif storey.images < _SCARCE * sum(each.images for each in storeys) / len(storeys):
             late = ""
-            if floor.late is not None:
-                one = len(floor.names) == 1
-                who = f"{floor.names[0]} comes" if one else f"all {len(floor.names)} recordings that do come"
-                late = f", and {who} there only in the last {100 * floor.late:.0f} %"
-            yield f"record more of {name}: it has {_count_images(floor.images)} of {len(coverage.images)}{late}"
+            if storey.late is not None:
+                one = len(storey.names) == 1
+                who = f"{storey.names[0]} comes" if one else f"all {len(storey.names)} recordings that do come"
+                late = f", and {who} there only in the last {100 * storey.late:.0f} %"
+            yield f"record more of {name}: it has {_count_images(storey.images)} of {len(coverage.images)}{late}"
     alone = float((coverage.others == 0).mean())
-    segments = [segment for segment in coverage.alone() if segment.floor not in named]
+    segments = [segment for segment in coverage.alone() if segment.storey not in named]
     if alone > _ALONE and segments:
         whose = "no other recording shows" if coverage.by_recordings else "no other pass shows"
         yield f"record again what {whose}, {100 * alone:.0f} % of the images: {_first(segments)}"
@@ -241,9 +241,15 @@ def _model(coverage: Coverage, predictions: Predictions) -> Iterator[str]:
     weak = [place for place in predictions.weak_places(coverage) if place.passes == 1 or place.places <= 1]
     if weak:
         yield f"another walk should show, as the model errs there: {_first(weak)}"
-    if predictions.foreign > _UNKNOWN:
-        unlike = f"{100 * predictions.foreign:.0f} % of the images look unlike all that the model was trained on"
-        yield f"{unlike}: {predictions.why_foreign}" if predictions.why_foreign else f"train on more of this: {unlike}"
+    if predictions.out_of_distribution > _UNKNOWN:
+        unlike = (
+            f"{100 * predictions.out_of_distribution:.0f} % of the images look unlike all that the model was trained on"
+        )
+        yield (
+            f"{unlike}: {predictions.why_out_of_distribution}"
+            if predictions.why_out_of_distribution
+            else f"train on more of this: {unlike}"
+        )
 
 
 def _first(items: Sequence[object]) -> str:

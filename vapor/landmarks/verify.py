@@ -14,9 +14,9 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 
 from filtering.association import PLACE
-from filtering.error_model import FOREIGN, ErrorModel
 from filtering.errors import require_within
 from filtering.mapped_views import MappedViews
+from filtering.measurement_noise import OUT_OF_DISTRIBUTION, MeasurementNoise
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from sequences.frame import Camera
@@ -60,7 +60,7 @@ class Verification:
     """With which power of their number that grows."""
     unproposed: float = 0.1
     """Weight of a verified place that the network did not propose."""
-    nothing: float = 0.5
+    clutter: float = 0.5
     """Of "none of these": a place of weight 1 that is not verified outweighs it by the inverse."""
     reach: float = 0.5
     """How different a view is from the likest of the map's, 1 for a depth or a radian, of which half are verified."""
@@ -68,7 +68,7 @@ class Verification:
     """Probability that landmarks verify another place of an image whose own the map does not show."""
 
     def __post_init__(self) -> None:
-        require_within(self, gain=(1e-3, 1e6), power=(0.0, 5.0), unproposed=(1e-9, 1.0), nothing=(1e-9, 1e6))
+        require_within(self, gain=(1e-3, 1e6), power=(0.0, 5.0), unproposed=(1e-9, 1.0), clutter=(1e-9, 1e6))
         require_within(self, reach=(1e-3, 1e3), elsewhere=(0.0, 0.999))
 
     def scores(
@@ -107,8 +107,8 @@ def verified(
 ) -> PosePosterior:
     """The posterior with the verified places; as it is where there are none.
 
-    An image that verifies a place is of this map, however unlike the training images it is, and so not foreign.
-    `mapped` states where landmarks can verify places; None for everywhere.
+    An image that verifies a place is of this map, however unlike the training images it is, and so not out of
+    distribution. `mapped` states where landmarks can verify places; None for everywhere.
     """
     of_verified = posterior.errors.verified
     if not found or of_verified is None:
@@ -117,14 +117,14 @@ def verified(
     covariances = of_verified.covariance(np.stack([each.covariance for each in found]))
     inliers = np.array([float(each.inliers) for each in found])
     scores = settings.scores(inliers, proposed_weights(posterior, means))
-    total = posterior.weights.sum() + scores.sum() + settings.nothing
+    total = posterior.weights.sum() + scores.sum() + settings.clutter
     return replace(
         posterior,
         means=Poses.concatenate([means, posterior.means]),
         covariances=np.concatenate([covariances, posterior.covariances]),
         weights=np.concatenate([scores, posterior.weights]) / total,
         verified=np.arange(len(found) + len(posterior.weights)) < len(found),
-        unfamiliarity=min(posterior.unfamiliarity, FOREIGN),
+        ood_score=min(posterior.ood_score, OUT_OF_DISTRIBUTION),
         mapped=mapped,
     )
 
@@ -153,7 +153,7 @@ class LandmarkVerifier:
         latest: Verified poses of the latest image, that of most landmarks first.
     """
 
-    def __init__(self, landmarks: Landmarks, errors: ErrorModel) -> None:
+    def __init__(self, landmarks: Landmarks, errors: MeasurementNoise) -> None:
         self.landmarks = landmarks
         self.latest: list[VerifiedPose] = []
         self._errors, self._localizer = errors, LandmarkLocalizer(landmarks.map)

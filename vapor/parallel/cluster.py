@@ -209,12 +209,12 @@ class Cluster:
 
 
 @contextmanager
-def connected(address: str, tell: Callable[[str], None]) -> Iterator[Cluster]:
+def connected(address: str, notify: Callable[[str], None]) -> Iterator[Cluster]:
     """Connect to the scheduler at an address, such as `tcp://host:8786`, and check its workers.
 
     Args:
         address: Of the scheduler.
-        tell: Called with a line on every worker that dies.
+        notify: Called with a line on every worker that dies.
 
     Raises:
         ClusterError: Dask is not installed, no scheduler answers within ten seconds, or a worker has another version or
@@ -234,7 +234,7 @@ def connected(address: str, tell: Callable[[str], None]) -> Iterator[Cluster]:
     def report(event: tuple[float, Any]) -> None:
         about = event[1]
         if isinstance(about, dict) and about.get("action") == "remove-worker" and not about.get("expected"):
-            tell(f"worker {about['worker']} went away; what it was doing is done again by others")
+            notify(f"worker {about['worker']} went away; what it was doing is done again by others")
 
     try:
         expected = about_this()

@@ -23,7 +23,7 @@ _TRIES = 3
 
 
 def in_processes(
-    function: Callable[..., Result], jobs: Sequence[tuple], processes: int, tell: Callable[[str], None]
+    function: Callable[..., Result], jobs: Sequence[tuple], processes: int, notify: Callable[[str], None]
 ) -> Iterator[Result]:
     """The result of `function(*job)` for every job, as each finishes, in no order.
 
@@ -47,7 +47,7 @@ def in_processes(
             if tried == _TRIES:
                 raise
             again = f"{len(left)} of {len(jobs)} jobs are begun again"
-            tell(f"a worker process ended unexpectedly, perhaps for lack of memory; {again}")
+            notify(f"a worker process ended unexpectedly, perhaps for lack of memory; {again}")
 
 
 def _batch(function: Callable[..., Result], jobs: Mapping[int, tuple], processes: int) -> Iterator[tuple[int, Result]]:
@@ -80,12 +80,12 @@ Result = TypeVar("Result")
 class Workers:
     """Processes of this machine, each with one thread, or the workers of a scheduler instead.
 
-    `tell` is called with a line such as that a worker died.
+    `notify` is called with a line such as that a worker died.
     """
 
     processes: int = 1
     cluster: Cluster | None = None
-    tell: Callable[[str], None] = field(default=lambda line: None, compare=False)
+    notify: Callable[[str], None] = field(default=lambda line: None, compare=False)
 
     @property
     def are_this_process(self) -> bool:
@@ -111,4 +111,4 @@ def in_parallel(function: Callable[..., Result], jobs: Iterable[tuple], workers:
     if workers.cluster is not None:
         yield from workers.cluster.results(function, list(jobs))
     else:
-        yield from in_processes(function, list(jobs), workers.processes, workers.tell)
+        yield from in_processes(function, list(jobs), workers.processes, workers.notify)

@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Float64, Int64, Shaped
 
 from filtering.config import LocalizerConfig
-from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError, require_within
+from filtering.measurement_noise import MeasurementNoise
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from sequences.estimates.options import EstimateOptions
@@ -31,7 +31,7 @@ class EstimateConfig:
     """Stated standard deviation of position along each axis, metres; one for all files or one for each."""
     std_deg: tuple[float, ...] = (1.0,)
     """Stated standard deviation of rotation about each axis, degrees; one for all files or one for each."""
-    tail: float = 4.0
+    degrees_of_freedom: float = 4.0
     """Degrees of freedom of the Student t distribution of their errors: the fewer, the heavier the tails."""
     outlier_weight: float = 0.0
     """Of estimates with weights: how much weight stands for "none of them". A hypothesis is as probable as its weight
@@ -44,7 +44,9 @@ class EstimateConfig:
     stands do not."""
 
     def __post_init__(self) -> None:
-        require_within(self, tail=(1.0, 1e6), outlier_probability=(1e-6, 0.999999), independent_after_s=(1e-6, 1e6))
+        require_within(
+            self, degrees_of_freedom=(1.0, 1e6), outlier_probability=(1e-6, 0.999999), independent_after_s=(1e-6, 1e6)
+        )
         require_within(self, outlier_weight=(0.0, 1e12))
         for name, high in (("std_m", 1e3), ("std_deg", 180.0)):
             for value in getattr(self, name):
@@ -59,7 +61,7 @@ class EstimateModel:
         VaporTrackError: the number of stated uncertainties is neither one nor the number of files.
     """
 
-    def __init__(self, num_files: int, config: EstimateConfig, errors: ErrorModel) -> None:
+    def __init__(self, num_files: int, config: EstimateConfig, errors: MeasurementNoise) -> None:
         self.config = config
         self.errors = errors
         for name, values in (("std_m", config.std_m), ("std_deg", config.std_deg)):
@@ -97,7 +99,7 @@ def mixture_weights(
     return weight / total[own] / len(files)
 
 
-def errors_of(sequence: EstimateSequence, trust: EstimateConfig) -> ErrorModel:
+def errors_of(sequence: EstimateSequence, trust: EstimateConfig) -> MeasurementNoise:
     """Errors as stated, alike while the camera comes as far as it does in the time stated.
 
     Poses are taken to be spread evenly over a box, and all rotations. It holds the middle 98 % of the positions along
@@ -109,12 +111,12 @@ def errors_of(sequence: EstimateSequence, trust: EstimateConfig) -> ErrorModel:
     margin = max(0.1 * float(np.linalg.norm(high - low)), std_m)
     volume = float(np.prod(high - low + 2 * margin)) * 8 * np.pi**2
     typical = (std_m, std_m, std_m, std_rad, std_rad, std_rad)
-    return ErrorModel(
+    return MeasurementNoise(
         radius_m=std_m,
-        floor=typical,
-        tail=trust.tail,
+        noise_floor=typical,
+        degrees_of_freedom=trust.degrees_of_freedom,
         outlier_probability=trust.outlier_probability,
-        flat_log_density=-float(np.log(volume)),
+        log_clutter_density=-float(np.log(volume)),
         length_m=max(sequence.speed_m_per_s * trust.independent_after_s, std_m),
         constant_fraction=0.0,
         typical_std=typical,

@@ -15,12 +15,12 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
-from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError
-from filtering.floors import Floors
 from filtering.localizer import ParticleLocalizer
+from filtering.measurement_noise import MeasurementNoise
 from filtering.posterior import ObservationModel, PosePosterior
 from filtering.smoothing import agreement
+from filtering.storeys import Storeys
 from sequences.estimates.sequence import EstimateSequence
 from sequences.odometry_fit.result import OdometryFit
 from sequences.reader import SequenceReader
@@ -68,11 +68,11 @@ def localize(
     model: ObservationModel,
     directory: Path,
     config: FilteringConfig,
-    errors: ErrorModel,
+    errors: MeasurementNoise,
     *,
     observed: Callable[[Any], np.ndarray] = attrgetter("image"),
     odometry_fit: OdometryFit | None = None,
-    floors: Floors | None = None,
+    storeys: Storeys | None = None,
     place: Place | None = None,
     allow_few_images: bool = False,
     progress: Callable[[int, int], None] | None = None,
@@ -87,7 +87,7 @@ def localize(
         errors: How the model's posteriors err.
         observed: The observation of a frame.
         odometry_fit: Errors of the odometry; None for those that frames and settings state.
-        floors: Of the building, where there are several.
+        storeys: Of the building, where there are several.
         place: Where it happens, for the viewer.
         allow_few_images: Whether fewer than one in ten of the images asked for are enough.
         progress: Called after every frame with the number done and an upper bound of all.
@@ -97,11 +97,11 @@ def localize(
     """
     settings = config.localizer
     if odometry_fit is not None:
-        settings = replace(settings, slow_errors=odometry_fit.slow_errors)
+        settings = replace(settings, odometry_bias=odometry_fit.odometry_bias)
     localizer = ParticleLocalizer(model, settings, rng=np.random.default_rng(config.seed))
     loop = StepLoop(localizer)
     history = History()
-    on_floors: list[np.ndarray] = []
+    on_storeys: list[np.ndarray] = []
     verified = 0
 
     def posteriors(frames: Iterable[Any]) -> Iterator[tuple[Any, PosePosterior, float]]:
@@ -122,8 +122,8 @@ def localize(
                     step = loop.step(frame.time_ns, posterior, frame.odometry, observe_ms=observe_ms)
                 history.add(step, frame.odometry)
                 verified += len(posterior.sources[1]) > 0
-                if floors is not None:
-                    on_floors.append(floors.belief(step.estimate))
+                if storeys is not None:
+                    on_storeys.append(storeys.belief(step.estimate))
                 outputs.add(frame, step)
                 if progress is not None:
                     progress(number, source.num_images)
@@ -136,8 +136,8 @@ def localize(
         record = outputs.record(skipped=source.skipped, images=source.counts, at_end=at_end)
     return replace(
         record,
-        floors=floors,
-        floor_belief=None if floors is None else np.stack(on_floors),
+        storeys=storeys,
+        storey_belief=None if storeys is None else np.stack(on_storeys),
         verified=None if errors.verified is None else verified,
         smoothed_agreement=agreement(at_end["smoothed"], record.times_ns, history.evidence, errors),
     )

@@ -26,7 +26,7 @@ from vapor.pipeline.unrecognised import MOST_IMAGES, SeenImage, are_unrecognised
 from vapor.reporting.record import EvenlySpaced
 from vapor.reporting.rerun_place import Place
 from vapor.threads import limited_threads
-from vapor.training_data.ground import told_unshown
+from vapor.training_data.ground import describe_unshown
 
 _MOST_KEPT = 7  # images in which landmarks verified a place
 _VerifiedImage = tuple[int, UInt8[np.ndarray, "h w 3"], Camera | None, list[VerifiedPose]]
@@ -106,7 +106,7 @@ def run_into(
             config,
             calibration.errors,
             odometry_fit=fit,
-            floors=observation.floors,
+            storeys=observation.storeys,
             place=Place.of_model(observation.description),
             allow_few_images=reading.allow_few_images,
             progress=progress,
@@ -126,10 +126,10 @@ def run_into(
             "reading": asdict(reading) | reader.resolved,
         }
         notices = [*reader.notices, *observation.notices]
-        if are_unrecognised(record.status) and observation.description.familiarity is not None:
-            notices.append(why_unrecognised(some.items, observation.unfamiliarity))
+        if are_unrecognised(record.status) and observation.description.ood_model is not None:
+            notices.append(why_unrecognised(some.items, observation.ood_score))
         if (trained := observation.description.memory_poses) is not None:
-            notices += filter(None, [told_unshown(record.methods["smoothed"].poses, trained)])
+            notices += filter(None, [describe_unshown(record.methods["smoothed"].poses, trained)])
         result = write_results(record, directory, settings, title=sequence.name, notices=notices, command=command)
         return replace(result, engine=f"{engine['engine']} on {engine['device']}, {config.precision}")
 

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from filtering.error_model import FOREIGN
 from filtering.estimate import Status
+from filtering.measurement_noise import OUT_OF_DISTRIBUTION
 from sequences.frame import Camera
 
 MOST_IMAGES = 23
@@ -18,7 +18,7 @@ MOST_IMAGES = 23
 SeenImage = tuple[UInt8[np.ndarray, "h w 3"], Camera | None]
 """An image and its camera, None where unknown."""
 _CLEARLY = 0.8  # of the score of the images as they are: a change that brings it below that explains it
-_UNLIKE = 0.9 * FOREIGN
+_UNLIKE = 0.9 * OUT_OF_DISTRIBUTION
 _GREY = 2.0  # of 255, between the largest and the smallest channel of a pixel
 _MIDDLE = 110  # of 255, a usual median brightness
 
@@ -45,26 +45,26 @@ def are_unrecognised(status: Sequence[Status]) -> bool:
     return 10 * status.count("converged") < len(status) < 4 * status.count("lost")
 
 
-def why_unrecognised(images: Sequence[SeenImage], unfamiliarity: Callable[[np.ndarray, Camera | None], float]) -> str:
+def why_unrecognised(images: Sequence[SeenImage], ood_score: Callable[[np.ndarray, Camera | None], float]) -> str:
     """Why images of a run are not recognised, as a sentence about them.
 
     Each change above is tried: the one whose images look most like training images to the network is named where the
-    images as they are do not. How unlike they look is measured as by `VaporObservationModel.unfamiliarity`.
+    images as they are do not. How unlike they look is measured as by `VaporObservationModel.ood_score`.
     """
     grey = np.median([float(np.ptp(image.astype(np.int16), axis=-1).mean()) for image, _ in images]) < _GREY
-    now = _score(images, unfamiliarity, np.asarray)
+    now = _score(images, ood_score, np.asarray)
     bright = float(np.median([np.median(image) for image, _ in images])) > _MIDDLE
     possible = {
         name: change for name, change in _CHANGES.items() if not name.startswith("bright" if bright else "dark")
     }
-    scores = {name: _score(images, unfamiliarity, change) for name, change in possible.items()}
+    scores = {name: _score(images, ood_score, change) for name, change in possible.items()}
     best = min(scores, key=scores.__getitem__)
     if scores[best] < _CLEARLY * now:
         return f"images look like those that the model learned from only when {best}: correct this where they are made"
     if now < _UNLIKE:
         return (
             "images look like those that the model learned from, but where they were taken does not agree with the"
-            " odometry, or cannot be told from them: `vapor-track inspect` compares clocks and axes"
+            " odometry, or cannot be distinguished from them: `vapor-track inspect` compares clocks and axes"
         )
     if grey:
         return "images are grey, and look unlike those that the model learned from: record colour if those have it"
@@ -73,7 +73,7 @@ def why_unrecognised(images: Sequence[SeenImage], unfamiliarity: Callable[[np.nd
 
 def _score(
     images: Sequence[SeenImage],
-    unfamiliarity: Callable[[np.ndarray, Camera | None], float],
+    ood_score: Callable[[np.ndarray, Camera | None], float],
     change: Callable[[np.ndarray], np.ndarray],
 ) -> float:
     """How unlike training images some are after a change; 1 is as unlike as another place."""
@@ -81,5 +81,5 @@ def _score(
     for image, camera in images:
         changed = np.ascontiguousarray(change(image))
         same_size = camera is None or changed.shape == image.shape
-        scores.append(unfamiliarity(changed, camera if same_size else None))
+        scores.append(ood_score(changed, camera if same_size else None))
     return float(np.median(scores))

@@ -21,7 +21,7 @@ from torch.nn import functional
 
 from filtering.errors import VaporTrackError
 from vapor.regressors.base import PoseRegressor
-from vapor.regressors.familiarity import CHROMA_EDGES
+from vapor.regressors.ood_model import CHROMA_EDGES
 from vapor.tensor_files import read_safetensors
 
 # (repeats, kernel, stride of the first, expansion, output channels) of each stage.

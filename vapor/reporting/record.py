@@ -11,8 +11,8 @@ from jaxtyping import Float32, Float64, Int64, UInt8
 
 from filtering.errors import VaporTrackError
 from filtering.estimate import Estimate, Mode, Status
-from filtering.floors import Floors
 from filtering.se3 import Poses
+from filtering.storeys import Storeys
 from sequences.frame import Frame, Trajectory
 from sequences.reading.counts import ImageCounts
 from vapor.landmarks.verify import ShownLandmarks
@@ -154,7 +154,7 @@ class RunRecord:
         best_weight: Weight of the reported hypothesis, (n,).
         num_particles: Number of particles, (n,).
         agreement: Fraction of the belief that the latest images fitted, (n,).
-        unfamiliarity: How unlike the training data each image was, see `PosePosterior`, (n,).
+        ood_score: How unlike the training data each image was, see `PosePosterior`, (n,).
         step_ms: Wall-clock milliseconds of each step, (n,).
         truth: True poses of the images that have one; None if none has.
         smoothed_agreement: How well the images about each smoothed pose fit it, in [0, 1], (n,); None without any.
@@ -163,8 +163,8 @@ class RunRecord:
         skipped: Number of images and other messages skipped, by reason.
         images: Counts of the images in the sequence; None if not counted.
         peak_rss_mb: Peak resident memory of the process, MiB; None if not measured.
-        floors: Of the building; None where there is one only, or it is not known.
-        floor_belief: Fraction of the filter's belief on each of the f floors, (n, f); None without floors.
+        storeys: Of the building; None where there is one only, or it is not known.
+        storey_belief: Fraction of the filter's belief on each of the f storeys, (n, f); None without storeys.
         verified: Number of images in which landmarks verified a place; None without a map of landmarks.
         landmarks: The landmarks in one of these images; None without any.
     """
@@ -177,7 +177,7 @@ class RunRecord:
     best_weight: Float64[np.ndarray, " n"]
     num_particles: Int64[np.ndarray, " n"]
     agreement: Float64[np.ndarray, " n"]
-    unfamiliarity: Float64[np.ndarray, " n"]
+    ood_score: Float64[np.ndarray, " n"]
     step_ms: Float64[np.ndarray, " n"]
     truth: Trajectory | None
     keyframes: tuple[Keyframe, ...]
@@ -186,8 +186,8 @@ class RunRecord:
     images: ImageCounts | None
     peak_rss_mb: float | None
     smoothed_agreement: Float64[np.ndarray, " n"] | None = None
-    floors: Floors | None = None
-    floor_belief: Float64[np.ndarray, "n f"] | None = None
+    storeys: Storeys | None = None
+    storey_belief: Float64[np.ndarray, "n f"] | None = None
     verified: int | None = None
     landmarks: ShownLandmarks | None = None
 
@@ -235,7 +235,7 @@ class RunRecorder:
                 best.weight,
                 len(estimate.particles),
                 estimate.agreement,
-                estimate.unfamiliarity,
+                estimate.ood_score,
                 step.step_ms,
             )
         )
@@ -259,7 +259,7 @@ class RunRecorder:
         """
         if not self._times_ns:
             raise VaporTrackError(f"no image was localized, {sum((skipped or {}).values())} were skipped")
-        num_modes, best_weight, num_particles, agreement, unfamiliarity, step_ms = np.array(self._numbers, float).T
+        num_modes, best_weight, num_particles, agreement, ood_score, step_ms = np.array(self._numbers, float).T
         truth = None
         if self._truth:
             truth_ns, true_poses = zip(*self._truth, strict=True)
@@ -275,7 +275,7 @@ class RunRecorder:
             best_weight=best_weight,
             num_particles=num_particles.astype(np.int64),
             agreement=agreement,
-            unfamiliarity=unfamiliarity,
+            ood_score=ood_score,
             step_ms=step_ms,
             truth=truth,
             keyframes=tuple(self._keyframes),

@@ -17,7 +17,7 @@ from sequences.errors import SequenceError
 from sequences.files import read_json
 from sequences.trajectories.tum import format_time
 from vapor.evaluation.consistency import evaluate_consistency
-from vapor.evaluation.floors import evaluate_floors
+from vapor.evaluation.storeys import evaluate_storeys
 from vapor.evaluation.trajectory import TAIL_M, THRESHOLDS, associate, evaluate_methods
 from vapor.reporting.record import RunRecord
 from vapor.tracking.methods import METHODS, in_order
@@ -35,8 +35,8 @@ def build_report(record: RunRecord) -> dict[str, Any]:
     Returns:
         `frames`, `frames_with_true_pose`, `skipped`, `images` (see `ImageCounts`), `duration_s`, `status` (fraction of
         the images by status), `smoothed_doubtful` (number of poses; null without a smoothed trajectory), `particles`
-        (median), `step_ms`, `peak_rss_mb`, `verified` (fraction of the images, with landmarks only) and `floors` (see
-        `evaluate_floors`; null where there is one only). With true poses also each method's metrics (see
+        (median), `step_ms`, `peak_rss_mb`, `verified` (fraction of the images, with landmarks only) and `storeys` (see
+        `evaluate_storeys`; null where there is one only). With true poses also each method's metrics (see
         `evaluate_trajectory`) and `consistency` (see `evaluate_consistency`).
     """
     counts = Counter(record.status)
@@ -55,12 +55,12 @@ def build_report(record: RunRecord) -> dict[str, Any]:
         "particles": int(np.median(record.num_particles)),
         "step_ms": {"p50": float(p50), "p95": float(p95)},
         "peak_rss_mb": record.peak_rss_mb,
-        "floors": None,
+        "storeys": None,
     }
     if record.verified is not None:
         report["verified"] = record.verified / len(record.times_ns)
-    if record.floors is not None and record.floor_belief is not None:
-        report["floors"] = evaluate_floors(record.floors, record.floor_belief, record.methods, record.truth)
+    if record.storeys is not None and record.storey_belief is not None:
+        report["storeys"] = evaluate_storeys(record.storeys, record.storey_belief, record.methods, record.truth)
     if record.truth is not None:
         report |= evaluate_methods(record.methods, record.truth)
         converged = np.array([status == "converged" for status in record.status])
@@ -116,15 +116,16 @@ def is_report(path: Path, keys: Collection[str]) -> bool:
     return isinstance(content, dict) and content.keys() >= set(keys)
 
 
-def method_table(report: Mapping[str, Any], *, tail: bool = False) -> tuple[list[str], list[list[str]]]:
-    """Headings and rows of a table of a report's methods: median errors, recalls or tail, and when they are right.
+def method_table(report: Mapping[str, Any], *, large_errors: bool = False) -> tuple[list[str], list[list[str]]]:
+    """Headings and rows of a table of a report's methods: median errors, recalls or large errors, and when they are
+    right.
 
     Without true poses there are no rows.
     """
-    thresholds = [f"worse than\n{TAIL_M[name]:g} m" for name in TAIL_M] if tail else [*THRESHOLDS]
+    thresholds = [f"worse than\n{TAIL_M[name]:g} m" for name in TAIL_M] if large_errors else [*THRESHOLDS]
     thresholds = [name.replace("m/", " m\n").replace("deg", "°") for name in thresholds]
     columns = ["", "median error", *thresholds, "right\nfrom"]
-    digits = 1 if tail else 0
+    digits = 1 if large_errors else 0
     rows: list[list[str]] = []
     for name, metrics in in_order(report).items():
         converged_at_s = metrics.get("converged_at_s")
@@ -133,19 +134,22 @@ def method_table(report: Mapping[str, Any], *, tail: bool = False) -> tuple[list
             [
                 METHODS[name].label,
                 f"{metrics['median_translation_m']:.3f} m  {metrics['median_rotation_deg']:5.1f}°",
-                *(f"{100 * part:.{digits}f} %" for part in metrics["worse_than" if tail else "recall"].values()),
+                *(
+                    f"{100 * part:.{digits}f} %"
+                    for part in metrics["worse_than" if large_errors else "recall"].values()
+                ),
                 right_from,
             ]
         )
     return columns, rows
 
 
-def format_table(report: Mapping[str, Any], *, title: str | None = None, tail: bool = False) -> Table:
+def format_table(report: Mapping[str, Any], *, title: str | None = None, large_errors: bool = False) -> Table:
     """`method_table`, to print."""
     from rich.table import Table
 
     table = Table(title=title, title_justify="left", caption_justify="left")
-    columns, rows = method_table(report, tail=tail)
+    columns, rows = method_table(report, large_errors=large_errors)
     for number, name in enumerate(columns):
         table.add_column(name, justify="right" if number else "left")
     for row in rows:

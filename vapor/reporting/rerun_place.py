@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float64
 
-from filtering.floors import up_axis
 from filtering.se3 import Poses
+from filtering.storeys import up_axis
 from vapor.checkpoints.checkpoint import ModelDescription
 from vapor.reporting.rerun_shapes import frusta, thinned
 

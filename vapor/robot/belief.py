@@ -9,9 +9,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Float64
 
-from filtering.error_model import ErrorModel
 from filtering.estimate import Estimate
 from filtering.localizer import ParticleLocalizer
+from filtering.measurement_noise import MeasurementNoise
 from filtering.motion import Odometry
 from filtering.novelty import NoveltyTracker
 from filtering.posterior import PosePosterior
@@ -140,7 +140,9 @@ class LiveBelief:
         self.localizer.forget()
         self._begin_at(self.reader.odometry_ns)
 
-    def start_at(self, time_ns: int, pose: Poses, covariance: Float64[np.ndarray, "6 6"], errors: ErrorModel) -> Anchor:
+    def start_at(
+        self, time_ns: int, pose: Poses, covariance: Float64[np.ndarray, "6 6"], errors: MeasurementNoise
+    ) -> Anchor:
         """Start at a stated pose; the arguments are those of `ParticleLocalizer.start_at`, at a time with odometry."""
         estimate = self.localizer.start_at(pose, covariance, errors)
         map_from_odom = self._map_from_odom(estimate, self.reader.odom_from_base(time_ns))

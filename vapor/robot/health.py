@@ -78,7 +78,7 @@ class Health:
         if self.reader is not None:
             values = {"images": self.reader.counts.read, "images localized": self.localized}
             values |= {f"images skipped, {why}": n for why, n in sorted(self.skipped.items())}
-            values |= {f"messages left out, {why}": n for why, n in sorted(self.reader.messages_left_out.items())}
+            values |= {f"messages left out, {why}": n for why, n in sorted(self.reader.skipped_messages.items())}
         if self._latencies_ms:
             median, late = np.percentile(self._latencies_ms, [50, 99])
             values |= {"latency, median, ms": f"{median:.1f}", "latency, 99 %, ms": f"{late:.1f}"}
@@ -92,7 +92,7 @@ class Health:
         assert reader is not None
         notices = {
             reason: f"left out: {reason}{reader.problems.get(reason, '')}"
-            for reason in [*self.skipped, *reader.messages_left_out]
+            for reason in [*self.skipped, *reader.skipped_messages]
             if reason not in _USUAL
         }
         notices |= {notice: notice for notice in reader.camera.notices}

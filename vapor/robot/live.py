@@ -18,7 +18,7 @@ def live(
     *,
     system: DdsOptions | Transport | None = None,
     reading: ReadingOptions | None = None,
-    tell: Callable[[str], None] = lambda _: None,
+    notify: Callable[[str], None] = lambda _: None,
 ) -> LiveSession:
     """Localize a robot from its topics while it moves, and publish where it is.
 
@@ -29,7 +29,7 @@ def live(
         config: Settings.
         system: The ROS 2 system to join, or a transport of one's own, which is closed at the end.
         reading: Topics to read; None for those that are found.
-        tell: Called with each line for a person.
+        notify: Called with each line for a person.
 
     Raises:
         VaporTrackError: no such model, or the system cannot be joined.
@@ -37,4 +37,4 @@ def live(
     config = config or LiveConfig()
     loaded = load_model(model, config) if isinstance(model, str) else model
     transport = join(system) if system is None or isinstance(system, DdsOptions) else system
-    return LiveSession(loaded, transport, reading or ReadingOptions(), config, tell)
+    return LiveSession(loaded, transport, reading or ReadingOptions(), config, notify)

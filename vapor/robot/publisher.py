@@ -11,8 +11,8 @@ from jaxtyping import Float64
 
 from filtering.errors import VaporTrackError
 from filtering.estimate import Estimate, Status
-from filtering.floors import Floors
 from filtering.se3 import Poses
+from filtering.storeys import Storeys
 from sequences.live.transport import Transport
 from sequences.recordings.estimate_messages import PUBLISHED_PARTICLES, Message, estimate_messages, pose_with_covariance
 from sequences.recordings.mcap_writer import ros_header, ros_poses, ros_transform
@@ -26,7 +26,7 @@ from vapor.robot.viewers import FoxgloveServer
 
 _OK, _WARN, _ERROR, _STALE = 0, 1, 2, 3
 _LEAST_M, _LEAST_RAD = 0.02, 0.02  # nobody points more exactly
-_LEVEL_RAD = 0.1  # of a robot on a floor that is not quite even
+_LEVEL_RAD = 0.1  # of a robot on a storey that is not quite even
 _OF_PRIOR_M = 0.5
 _MOST_VARIANCE = 1e8
 _LEVELS: Mapping[Status, int] = {"converged": _OK, "ambiguous": _WARN, "lost": _ERROR}
@@ -51,11 +51,11 @@ def diagnostics_message(
     estimate: Estimate | None,
     silent: str | None,
     values: Mapping[str, object],
-    floors: Floors | None = None,
+    storeys: Storeys | None = None,
 ) -> Message:
     """diagnostic_msgs/DiagnosticArray: level OK if converged, WARN if ambiguous, ERROR if lost, STALE at first.
 
-    `silent` names the missing input; `values` are added. With `floors`, the belief's floor and its weight on each are
+    `silent` names the missing input; `values` are added. With `storeys`, the belief's storey and its weight on each are
     added, too.
     """
     if estimate is None:
@@ -70,12 +70,12 @@ def diagnostics_message(
             "modes": len(estimate.modes),
             "standard deviation, m": f"{best.widest_std_m:.4f}",
             "agreement of the images": f"{estimate.agreement:.4f}",
-            "unfamiliarity of the image": f"{estimate.unfamiliarity:.4f}",
+            "ood_score of the image": f"{estimate.ood_score:.4f}",
         }
-        if floors is not None:
-            on_floors = floors.belief(estimate)
-            about["floor"] = int(on_floors.argmax())
-            about |= {f"weight of floor {number}": f"{weight:.4f}" for number, weight in enumerate(on_floors)}
+        if storeys is not None:
+            on_storeys = storeys.belief(estimate)
+            about["storey"] = int(on_storeys.argmax())
+            about |= {f"weight of storey {number}": f"{weight:.4f}" for number, weight in enumerate(on_storeys)}
     status = {
         "level": level,
         "name": "vapor-track: localization",
@@ -113,8 +113,8 @@ def camera_of_initial_pose(
         base = Poses(base.rotation, np.array([*base.translation[:2], float(heights_m.mean())]))
         least[2] = max(float(heights_m.std()), _OF_PRIOR_M)
     diagonal = np.arange(6)
-    floor = np.where(stated[diagonal, diagonal] == 0.0, least, [_LEAST_M] * 3 + [_LEAST_RAD] * 3)
-    stated[diagonal, diagonal] += floor**2  # which makes any covariance definite
+    storey = np.where(stated[diagonal, diagonal] == 0.0, least, [_LEAST_M] * 3 + [_LEAST_RAD] * 3)
+    stated[diagonal, diagonal] += storey**2  # which makes any covariance definite
     carry = base_from_camera.inverse().adjoint()
     covariance = carry @ covariance_from_ros(stated, base) @ carry.T
     return base @ base_from_camera, (covariance + covariance.T) / 2
@@ -123,7 +123,7 @@ def camera_of_initial_pose(
 class Publisher:
     """Publishes estimates, poses, tf and diagnostics in a transport, and serves them to Foxglove.
 
-    `now_ns` is the clock of logged messages. `tell` is called once, where a message cannot be published. `last_sent`
+    `now_ns` is the clock of logged messages. `notify` is called once, where a message cannot be published. `last_sent`
     has the messages of the last image.
     """
 
@@ -134,13 +134,13 @@ class Publisher:
         config: LiveConfig,
         *,
         hardware: str,
-        floors: Floors | None,
+        storeys: Storeys | None,
         now_ns: Callable[[], int],
-        tell: Callable[[str], None],
+        notify: Callable[[str], None],
     ) -> None:
         self._foxglove, self._config, self._now_ns = foxglove, config, now_ns
-        self._tell, self._failed = tell, False
-        self._hardware, self._floors = hardware, floors
+        self._notify, self._failed = notify, False
+        self._hardware, self._storeys = hardware, storeys
         self.last_sent: list[RawMessage] = []
         self._kept_map_from_odom: Poses | None = None
         self._sent_anchor: Anchor | None = None  # of the last pose of the base
@@ -204,7 +204,7 @@ class Publisher:
             estimate=estimate,
             silent=silent,
             values=values,
-            floors=self._floors,
+            storeys=self._storeys,
         )
         self._send([message])
 
@@ -217,7 +217,7 @@ class Publisher:
             except VaporTrackError as error:  # the network may be back in a moment
                 if not self._failed:
                     self._failed = True
-                    self._tell(f"{message.topic} could not be published: {error}")
+                    self._notify(f"{message.topic} could not be published: {error}")
             sent.append(RawMessage(message.topic, now_ns, data, message.type, "cdr", b""))
             if self._foxglove is not None:
                 self._foxglove.write(sent[-1])

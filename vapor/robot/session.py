@@ -65,11 +65,11 @@ class LiveSession:
         transport: Transport,
         reading: ReadingOptions,
         config: LiveConfig,
-        tell: Callable[[str], None],
+        notify: Callable[[str], None],
     ) -> None:
         self._model, self._transport, self._reading, self._config = model, transport, reading, config
         self._on_estimate: Callable[[LiveEstimate], None] = lambda _: None
-        self._tell, self._has_begun = tell, False
+        self._notify, self._has_begun = notify, False
         self._events: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._controls = {
             _INITIAL_POSE: ("geometry_msgs/PoseWithCovarianceStamped", self._set_pose),
@@ -160,7 +160,7 @@ class LiveSession:
                 server = FoxgloveServer(config.foxglove_host, config.foxglove_port)
                 self._foxglove = block.enter_context(server)
                 host = f"[{config.foxglove_host}]" if ":" in config.foxglove_host else config.foxglove_host
-                self._tell(f"Foxglove: ws://{host}:{server.port}, layout {LAYOUT}")
+                self._notify(f"Foxglove: ws://{host}:{server.port}, layout {LAYOUT}")
             self._viewer: WatchingViewer | None = None
             if config.view or config.view_at is not None:
                 started = time.strftime("%Y-%m-%d %H:%M:%S")  # distinguishes two sessions in one viewer
@@ -169,15 +169,15 @@ class LiveSession:
                 opened = partial(
                     RerunViewer, spawn=config.view, connect=config.view_at, title=title, place=place, live=True
                 )
-                self._viewer = block.enter_context(WatchingViewer(opened, self._tell))
+                self._viewer = block.enter_context(WatchingViewer(opened, self._notify))
             self._publisher = Publisher(
                 self._transport,
                 self._foxglove,
                 config,
                 hardware=self._model.name,
-                floors=self._model.observation.floors,
+                storeys=self._model.observation.storeys,
                 now_ns=self._now_ns,
-                tell=self._tell,
+                notify=self._notify,
             )
             for topic, (message_type, _) in self._controls.items():
                 offer = Offer(topic, message_type, reliable=False, latched=False)  # hears both kinds of publishers
@@ -192,7 +192,7 @@ class LiveSession:
         calibration, settings = self._model.observation.description.calibration, self._config.localizer
         fit = calibration.odometry if self._config.fitted_odometry else None
         if fit is not None:
-            settings = replace(settings, slow_errors=fit.slow_errors)
+            settings = replace(settings, odometry_bias=fit.odometry_bias)
         observation = self._model.observation.seen_by(reader.camera.camera)
         localizer = ParticleLocalizer(observation, settings, rng=np.random.default_rng(self._config.seed))
         self._health.reader = reader
@@ -200,9 +200,9 @@ class LiveSession:
         roles = reader.roles
         odometry = roles.odometry.name if roles.odometry is not None else f"tf from {roles.odometry_frame}"
         info = f", {roles.camera_info.name}" if roles.camera_info is not None else ""
-        self._tell(f"localizes by {roles.image.name}{info} and {odometry}")
+        self._notify(f"localizes by {roles.image.name}{info} and {odometry}")
         for notice in [*self._model.observation.notices, *self._health.notices()]:
-            self._tell(notice)
+            self._notify(notice)
         return self._belief
 
     # --- events -------------------------------------------------------------------------------------
@@ -264,12 +264,12 @@ class LiveSession:
             message = decoder(message_type)(raw.data)
         except Exception as error:  # damaged bytes raise whatever they lead to
             problem = error or type(error).__name__
-            self._tell(f"{raw.topic}: {len(raw.data)} bytes cannot be decoded as {message_type}: {problem}")
+            self._notify(f"{raw.topic}: {len(raw.data)} bytes cannot be decoded as {message_type}: {problem}")
             return
         try:
             control(message)
         except (VaporTrackError, OSError) as error:
-            self._tell(f"{raw.topic}: {error}")
+            self._notify(f"{raw.topic}: {error}")
 
     def _now_ns(self) -> int:
         return time.time_ns() if self._clock_ns is None else self._clock_ns
@@ -284,7 +284,7 @@ class LiveSession:
             self._belief.forget()
             self._network.forget()
             self._publisher.forget()
-        self._tell("reset")
+        self._notify("reset")
 
     def _set_pose(self, message: SimpleNamespace) -> None:
         belief = self._belief
@@ -301,14 +301,14 @@ class LiveSession:
         self._network.forget()
         self._publisher.forget()
         self._believe(belief, time_ns, anchor.estimate)
-        self._tell(f"starts at x {pose.translation[0]:.2f} m, y {pose.translation[1]:.2f} m, by {_INITIAL_POSE}")
+        self._notify(f"starts at x {pose.translation[0]:.2f} m, y {pose.translation[1]:.2f} m, by {_INITIAL_POSE}")
 
     def _save_snapshot(self, _: SimpleNamespace) -> None:
         anchor = None if self._belief is None else self._belief.anchor
         if anchor is None or anchor.frame is None:
             raise VaporTrackError("no image was localized yet, expected an estimate to save")
         path = write_snapshot(self._config.snapshots, anchor.frame, self._publisher.last_sent)
-        self._tell(f"snapshot {path}")
+        self._notify(f"snapshot {path}")
 
     # --- images -------------------------------------------------------------------------------------
 
@@ -328,7 +328,7 @@ class LiveSession:
             if not isinstance(posterior, VaporTrackError):
                 raise posterior
             self._refuse(posterior)
-            posterior = PosePosterior.nothing()  # the belief moves all the same
+            posterior = PosePosterior.uninformative()  # the belief moves all the same
         if not counts:
             return
         try:
@@ -349,7 +349,7 @@ class LiveSession:
 
     def _refuse(self, error: VaporTrackError) -> None:
         if not self._health.refused:
-            self._tell(f"an image could not be used: {error}")
+            self._notify(f"an image could not be used: {error}")
         self._health.refused += 1
 
     # --- reports ------------------------------------------------------------------------------------
@@ -360,12 +360,12 @@ class LiveSession:
         if estimate.status != self._status:
             self._status = estimate.status
             best = estimate.modes[0]
-            self._tell(f"{estimate.status}: best of {len(estimate.modes)} modes {100 * best.weight:.0f} %")
+            self._notify(f"{estimate.status}: best of {len(estimate.modes)} modes {100 * best.weight:.0f} %")
             self._send_diagnostics()
 
     def _tick(self, belief: LiveBelief) -> None:
         for notice in self._health.notices():
-            self._tell(notice)
+            self._notify(notice)
         if self._network.job is None:
             belief.settle()
         anchor = belief.anchor
@@ -381,5 +381,5 @@ class LiveSession:
     def _say_waiting(self, problem: str) -> None:
         if self._config.sim_time and self._clock_ns is None:
             problem = f"no message on {_CLOCK} yet (--sim-time)"
-        self._tell(f"waits: {problem}")
+        self._notify(f"waits: {problem}")
         self._send_diagnostics(f"waits: {problem}")

@@ -94,11 +94,11 @@ class FoxgloveServer:
 class WatchingViewer:
     """Shows estimates in a thread; a viewer slower than the camera skips images, and one that fails is given up.
 
-    `opened` is called here, so that its errors come at once; `tell` once, when the viewer fails.
+    `opened` is called here, so that its errors come at once; `notify` once, when the viewer fails.
     """
 
-    def __init__(self, opened: Callable[[], RerunViewer], tell: Callable[[str], None]) -> None:
-        self._viewer, self._tell = opened(), tell
+    def __init__(self, opened: Callable[[], RerunViewer], notify: Callable[[str], None]) -> None:
+        self._viewer, self._notify = opened(), notify
         self._newest: tuple[Frame, Estimate, Poses | None] | None = None
         self._closed = False
         self._turn = threading.Condition()
@@ -137,4 +137,4 @@ class WatchingViewer:
                 self._viewer.log(*shown)
             self._viewer.close()
         except VaporTrackError as error:
-            self._tell(f"the viewer stopped: {error}")
+            self._notify(f"the viewer stopped: {error}")

@@ -9,24 +9,24 @@ from types import MappingProxyType
 import numpy as np
 
 from filtering.config import LocalizerConfig
-from filtering.error_model import ErrorModel
 from filtering.estimate import Estimate
 from filtering.localizer import ParticleLocalizer
-from filtering.motion import Odometry, SlowErrors
+from filtering.measurement_noise import MeasurementNoise
+from filtering.motion import Odometry, OdometryBias
 from filtering.posterior import PosePosterior
 from vapor.tracking.loop import Localizer
 
 
 @dataclass(frozen=True)
 class Ablation:
-    """Changes to the settings of a filter and to the error model.
+    """Changes to the settings of a filter and to the measurement noise.
 
     With `known_kidnap` the filter restarts where the camera was carried to.
     """
 
     meaning: str
     localizer: Callable[[LocalizerConfig], LocalizerConfig] = lambda config: config
-    errors: Callable[[ErrorModel], ErrorModel] = lambda errors: errors
+    errors: Callable[[MeasurementNoise], MeasurementNoise] = lambda errors: errors
     known_kidnap: bool = False
 
     def start(self, config: LocalizerConfig, *, rng: np.random.Generator, kidnap_index: int | None = None) -> Localizer:
@@ -52,14 +52,16 @@ class _KnownKidnap:
         return self._localizer.update(posterior, odometry, elapsed_s=elapsed_s)
 
 
-def _independent(errors: ErrorModel) -> ErrorModel:
+def _independent(errors: MeasurementNoise) -> MeasurementNoise:
     verified = None if errors.verified is None else _independent(errors.verified)
-    new = {"lasting_fraction": 0.0, "length_m": 1e-6 * errors.length_m, "length_rad": 1e-6}
+    new = {"correlated_fraction": 0.0, "length_m": 1e-6 * errors.length_m, "length_rad": 1e-6}
     return replace(errors, **new, verified=verified)
 
 
-def _gaussian(errors: ErrorModel) -> ErrorModel:
-    return replace(errors, tail=1e6, verified=None if errors.verified is None else _gaussian(errors.verified))
+def _gaussian(errors: MeasurementNoise) -> MeasurementNoise:
+    return replace(
+        errors, degrees_of_freedom=1e6, verified=None if errors.verified is None else _gaussian(errors.verified)
+    )
 
 
 # To add one: a name, the difference, and a function of the settings.
@@ -76,13 +78,13 @@ ABLATIONS: Mapping[str, Ablation] = MappingProxyType(
             "a place is as probable as the fraction of the samples in it",
             errors=lambda errors: replace(errors, possible_fraction=1.0),
         ),
-        "no-slow-errors": Ablation(
+        "no-odometry-bias": Ablation(
             "the odometry errs as white noise only",
-            localizer=lambda config: replace(config, slow_errors=SlowErrors(scale=0.0, relative_drift=0.0)),
+            localizer=lambda config: replace(config, odometry_bias=OdometryBias(scale=0.0, relative_drift=0.0)),
         ),
         "no-injection": Ablation(
             "no hypothesis is added after the first image",
-            localizer=lambda config: replace(config, births="rate", kidnap_per_view=0.0, max_kidnap_per_view=0.0),
+            localizer=lambda config: replace(config, births="rate", birth_rate=0.0, max_birth_rate=0.0),
         ),
         "inject-on-doubt": Ablation(
             "hypotheses are added where the images cast doubt, as in AMCL",

@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Int64
 
 from filtering.config import LocalizerConfig
-from filtering.error_model import ErrorModel
 from filtering.estimate import Estimate, Mode
+from filtering.measurement_noise import MeasurementNoise
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
@@ -36,7 +36,7 @@ def dead_reckoning(first_pose: Poses, odometry: Sequence[Odometry | None]) -> Po
 
 
 @dataclass(frozen=True)
-class Passage:
+class Segment:
     """The input of the methods for n images, and the truth.
 
     Attributes:
@@ -51,15 +51,15 @@ class Passage:
     truth: Poses
     posterior: Callable[[int], PosePosterior]
 
-    def restated(self, fit: OdometryFit | None) -> Passage:
-        """The passage with the fitted white noise of the odometry; with None, as it is."""
+    def restated(self, fit: OdometryFit | None) -> Segment:
+        """The segment with the fitted white noise of the odometry; with None, as it is."""
         if fit is None:
             return self
         return replace(self, odometry=tuple(None if each is None else fit.restated(each) for each in self.odometry))
 
-    def part(self, start: int, stop: int) -> Passage:
-        """The images start to stop as a passage."""
-        return Passage(
+    def part(self, start: int, stop: int) -> Segment:
+        """The images start to stop as a segment."""
+        return Segment(
             self.times_ns[start:stop],
             self.odometry[start:stop],
             self.truth[start:stop],
@@ -74,23 +74,23 @@ class Passage:
         return Poses.concatenate([dead_reckoning(self.truth[a], self.odometry[a:b]) for a, b in segments])
 
 
-def posterior_of(samples: Poses, errors: ErrorModel, unfamiliarity: float) -> PosePosterior:
+def posterior_of(samples: Poses, errors: MeasurementNoise, ood_score: float) -> PosePosterior:
     """The posterior of an image by its samples; without any, an uninformative one, see `ParticleLocalizer.observe`."""
     if len(samples):
-        return PosePosterior.from_samples(samples, errors, unfamiliarity=unfamiliarity)
-    return replace(PosePosterior.nothing(errors), unfamiliarity=unfamiliarity)
+        return PosePosterior.from_samples(samples, errors, ood_score=ood_score)
+    return replace(PosePosterior.uninformative(errors), ood_score=ood_score)
 
 
 @dataclass(frozen=True)
 class Followed:
-    """The results of filter and baselines on a passage of n images.
+    """The results of filter and baselines on a segment of n images.
 
     `image_modes` are the places of each image's posterior alone. The number of particles and the milliseconds of a step
     are medians.
     """
 
-    passage: Passage
-    errors: ErrorModel
+    segment: Segment
+    errors: MeasurementNoise
     config: LocalizerConfig
     beliefs: dict[str, Belief]
     image_modes: tuple[tuple[Mode, ...], ...]
@@ -104,18 +104,18 @@ class Followed:
         """Poses of every method that goes from image to image, by name, world_from_camera, (n,) each."""
         return {
             "single_image": Poses.stack([modes[0].world_from_camera for modes in self.image_modes]),
-            "dead_reckoning": self.passage.dead_reckoning,
+            "dead_reckoning": self.segment.dead_reckoning,
             **{name: belief.best for name, belief in self.beliefs.items()},
         }
 
     def poses_at_end(self) -> dict[str, Poses]:
-        """Poses of every method that sees the whole passage at once, by name, world_from_camera, (n,) each."""
+        """Poses of every method that sees the whole segment at once, by name, world_from_camera, (n,) each."""
         return poses_at_end(self.history, self.errors, self.config)
 
 
 def follow(
-    passage: Passage,
-    errors: ErrorModel,
+    segment: Segment,
+    errors: MeasurementNoise,
     config: LocalizerConfig,
     *,
     rng: np.random.Generator,
@@ -123,7 +123,7 @@ def follow(
     kidnap_index: int | None = None,
     baselines: Collection[str] = BASELINES,
 ) -> Followed:
-    """Localize a passage, whose first image has a place, by filter and baselines with the same errors and odometry.
+    """Localize a segment, whose first image has a place, by filter and baselines with the same errors and odometry.
 
     The ablation starts the filter; its changes of `errors` and `config` are already made, as they concern all methods.
 
@@ -137,9 +137,9 @@ def follow(
     image_modes: list[tuple[Mode, ...]] = []
     of_baselines: dict[str, list[tuple[Mode, ...]]] = {}
     step_ms: list[float] = []
-    for i, (time_ns, odometry) in enumerate(zip(passage.times_ns.tolist(), passage.odometry, strict=True)):
+    for i, (time_ns, odometry) in enumerate(zip(segment.times_ns.tolist(), segment.odometry, strict=True)):
         begin = time.perf_counter()
-        posterior = passage.posterior(i)
+        posterior = segment.posterior(i)
         step = loop.step(time_ns, posterior, odometry, observe_ms=1e3 * (time.perf_counter() - begin))
         history.add(step, odometry)
         estimates.append(step.estimate)
@@ -154,7 +154,7 @@ def follow(
     }
     beliefs["filter"] = Belief([each.modes for each in estimates], [each.status for each in estimates])
     return Followed(
-        passage,
+        segment,
         errors,
         config,
         beliefs,

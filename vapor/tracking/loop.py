@@ -111,7 +111,7 @@ class StepLoop:
             posterior,
             estimate,
             self._image_modes,
-            () if posterior.says_nothing else places,
+            () if posterior.is_uninformative else places,
             self._baselines.step(time_ns, posterior, odometry),
             step_ms,
         )

@@ -13,8 +13,8 @@ from typing import Literal, TypeVar
 import numpy as np
 
 from filtering.config import LocalizerConfig
-from filtering.error_model import ErrorModel
 from filtering.localizer import ParticleLocalizer
+from filtering.measurement_noise import MeasurementNoise
 from filtering.se3 import Poses
 from vapor.tracking.loop import History, Tracker
 
@@ -25,7 +25,7 @@ GAUSSIANS = 15
 def _kalman(config: LocalizerConfig, rng: np.random.Generator) -> Tracker:
     from filtering.kalman import KalmanConfig, KalmanLocalizer  # loads FilterPy, which takes a while
 
-    return KalmanLocalizer(KalmanConfig(slow_errors=config.slow_errors, gap=config.gap))
+    return KalmanLocalizer(KalmanConfig(odometry_bias=config.odometry_bias, gap=config.gap))
 
 
 def _gaussian_sum(config: LocalizerConfig, rng: np.random.Generator) -> Tracker:
@@ -37,12 +37,12 @@ def gaussian_sum(config: LocalizerConfig) -> LocalizerConfig:
 
     Source: Alspach and Sorenson, "Nonlinear Bayesian estimation using Gaussian sum approximations", 1972.
     """
-    rates = {"kidnap_per_view": 0.0, "max_kidnap_per_view": 0.0}
+    rates = {"birth_rate": 0.0, "max_birth_rate": 0.0}
     return replace(config, **rates, births="rate", max_hypotheses=GAUSSIANS, resampling="heaviest")
 
 
-def smooth_history(history: History, errors: ErrorModel, config: LocalizerConfig) -> Poses:
-    """Smoothed poses of a run, world_from_camera, (n,); of the settings only the slow errors of odometry are used."""
+def smooth_history(history: History, errors: MeasurementNoise, config: LocalizerConfig) -> Poses:
+    """Smoothed poses of a run, world_from_camera, (n,); of the settings only odometry bias are used."""
     from filtering.smoothing import SMOOTHED_MODES, SmoothingConfig, smooth  # loads GTSAM, which takes a while
 
     return smooth(
@@ -52,7 +52,7 @@ def smooth_history(history: History, errors: ErrorModel, config: LocalizerConfig
         Poses.stack(history.filtered),
         np.array(history.converged, bool),
         errors,
-        SmoothingConfig(slow_errors=config.slow_errors),
+        SmoothingConfig(odometry_bias=config.odometry_bias),
     )
 
 
@@ -81,7 +81,7 @@ class Method:
     short_label: str = ""
     error_curve: bool = True
     tracker: Callable[[LocalizerConfig, np.random.Generator], Tracker] | None = None
-    at_end: Callable[[History, ErrorModel, LocalizerConfig], Poses] | None = None
+    at_end: Callable[[History, MeasurementNoise, LocalizerConfig], Poses] | None = None
 
     @property
     def can_converge(self) -> bool:
@@ -109,7 +109,7 @@ METHODS: Mapping[str, Method] = MappingProxyType(
 """The methods by their names in results and code, in the order of a report.
 
 The step loop itself gives the poses of the filter and of single images. Dead reckoning is computed where a first pose
-is known: in the recorder of a run, or in a passage.
+is known: in the recorder of a run, or in a segment.
 """
 
 
@@ -126,7 +126,7 @@ def start_baselines(
     return {name: method.tracker(config, rng()) for name, method in METHODS.items() if method.tracker and name in only}
 
 
-def poses_at_end(history: History, errors: ErrorModel, config: LocalizerConfig) -> dict[str, Poses]:
+def poses_at_end(history: History, errors: MeasurementNoise, config: LocalizerConfig) -> dict[str, Poses]:
     """Poses (n,) of the methods that see a whole run of n images at once, by name."""
     return {name: method.at_end(history, errors, config) for name, method in METHODS.items() if method.at_end}
 

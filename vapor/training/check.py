@@ -10,12 +10,12 @@ import numpy as np
 from jaxtyping import Bool, Int64
 
 from filtering.config import LocalizerConfig
-from filtering.error_model import ErrorModel
+from filtering.measurement_noise import MeasurementNoise
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from vapor.calibration.calibrate import NUM_SAMPLES, CalibrationResult
-from vapor.calibration.familiarity import extract_features
+from vapor.calibration.ood_model import extract_features
 from vapor.checkpoints.calibration import Calibration
 from vapor.checkpoints.scene_scale import default_errors
 from vapor.evaluation.consistency import REGIONS, evaluate_belief
@@ -24,8 +24,8 @@ from vapor.evaluation.validation import predict
 from vapor.landmarks.localize import VerifiedPose
 from vapor.landmarks.verify import verified
 from vapor.regressors.base import PoseRegressor
-from vapor.regressors.familiarity import Familiarity
-from vapor.tracking.follow import Followed, Passage, follow, posterior_of
+from vapor.regressors.ood_model import OodModel
+from vapor.tracking.follow import Followed, Segment, follow, posterior_of
 from vapor.training.landmarks import HeldOutLandmarks
 from vapor.training.progress import Figures, TrainingCheck, verdict
 from vapor.training_data.training_set import TrainingSet
@@ -42,7 +42,7 @@ def check(
     images: TrainingSet,
     held_out: Bool[np.ndarray, " n"],
     result: CalibrationResult,
-    familiarity: Familiarity | None,
+    ood_model: OodModel | None,
     scene: Poses,
     landmarks: HeldOutLandmarks | None = None,
     *,
@@ -56,7 +56,7 @@ def check(
         images: Recordings, n images, of which some are held out.
         held_out: Those, (n,).
         result: Calibration of the network.
-        familiarity: Of the network.
+        ood_model: Of the network.
         scene: Poses that outline the scene.
         landmarks: Of the images that are not held out; None where there are none.
         seed: Of latent noise and the filter's draws.
@@ -78,7 +78,7 @@ def check(
             samples.append(poses)
             advance(done + len(samples), total)
         done += len(samples)
-        scores = familiarity.unfamiliarity(extract_features(network, some)) if familiarity else np.zeros(len(rows))
+        scores = ood_model.ood_score(extract_features(network, some)) if ood_model else np.zeros(len(rows))
         of_landmarks: list[Sequence[VerifiedPose]] = [() for _ in rows]
         if landmarks is not None:
             for i, row in enumerate(rows.tolist()):
@@ -86,16 +86,16 @@ def check(
                 of_landmarks[i] = landmarks.found(images, row, coarse.means[np.argsort(-coarse.weights, kind="stable")])
         seen.append((samples, scores, of_landmarks))
 
-    def tried(errors: ErrorModel) -> list[Followed]:
+    def tried(errors: MeasurementNoise) -> list[Followed]:
         fit = fitted.odometry
-        config = LocalizerConfig() if fit is None else replace(LocalizerConfig(), slow_errors=fit.slow_errors)
+        config = LocalizerConfig() if fit is None else replace(LocalizerConfig(), odometry_bias=fit.odometry_bias)
         followed = []
         for (rows, odometry), of_run in zip(runs, seen, strict=True):
 
             def posterior(
                 image: int,
                 of_run: tuple[list[Poses], np.ndarray, Sequence[Sequence[VerifiedPose]]] = of_run,
-                errors: ErrorModel = errors,
+                errors: MeasurementNoise = errors,
             ) -> PosePosterior:
                 samples, scores, verified_poses = of_run
                 coarse = posterior_of(samples[image], errors, float(scores[image]))
@@ -103,10 +103,10 @@ def check(
                     return coarse
                 return verified(coarse, verified_poses[image], landmarks.verification, landmarks.mapped)
 
-            passage = Passage(images.times_ns[rows], odometry[: len(rows)], images.poses[rows], posterior)
-            passage = passage.restated(fit)
+            segment = Segment(images.times_ns[rows], odometry[: len(rows)], images.poses[rows], posterior)
+            segment = segment.restated(fit)
             rng = np.random.default_rng(seed)
-            followed.append(follow(passage, errors, config, rng=rng, baselines=("kalman",)))
+            followed.append(follow(segment, errors, config, rng=rng, baselines=("kalman",)))
         return followed
 
     followed, kept = tried(fitted.errors), fitted.errors
@@ -126,7 +126,7 @@ def check(
     return replace(found, verdict=verdict(found, result)), replace(fitted, errors=kept)
 
 
-def _inflated(errors: ErrorModel, factor: float) -> ErrorModel:
+def _inflated(errors: MeasurementNoise, factor: float) -> MeasurementNoise:
     """Errors of all places, verified ones too, with larger variances."""
     verified_errors = None if errors.verified is None else errors.verified.inflated(factor)
     return replace(errors.inflated(factor), verified=verified_errors)
@@ -163,22 +163,22 @@ def _between(images: TrainingSet, first: int, last: int) -> Odometry | None:
 def _summed(followed: Sequence[Followed]) -> TrainingCheck:
     """Figures of all methods but the smoothed trajectory, which decides nothing."""
     methods = {name: _figures(followed, [each.poses[name] for each in followed]) for name in METHODS[:-1]}
-    passages = [each.passage for each in followed]
+    segments = [each.segment for each in followed]
     called = [
         evaluate_belief(each.beliefs["filter"], of.times_ns, of.truth, converged_at_s=None, kidnap_index=None)[
-            "said_converged"
+            "converged_images"
         ]
-        for each, of in zip(followed, passages, strict=True)
+        for each, of in zip(followed, segments, strict=True)
     ]
     called = [each for each in called if each["images"]]
-    images, converged = sum(len(each.times_ns) for each in passages), sum(each["images"] for each in called)
+    images, converged = sum(len(each.times_ns) for each in segments), sum(each["images"] for each in called)
 
     def fraction(of: Callable[[Mapping[str, Any]], float]) -> float:
         return sum(each["images"] * of(each) for each in called) / converged
 
     return TrainingCheck(
         images,
-        len(passages),
+        len(segments),
         methods,
         converged / images,
         fraction(lambda each: each["wrong"]) if called else None,
@@ -189,8 +189,8 @@ def _summed(followed: Sequence[Followed]) -> TrainingCheck:
 
 
 def _figures(followed: Sequence[Followed], poses: Sequence[Poses]) -> Figures:
-    passages = [(found, each.passage.truth) for found, each in zip(poses, followed, strict=True)]
-    apart = [found.distance(truth) for found, truth in passages]
+    segments = [(found, each.segment.truth) for found, each in zip(poses, followed, strict=True)]
+    apart = [found.distance(truth) for found, truth in segments]
     moved_m, turned = (np.concatenate(part) for part in zip(*apart, strict=True))
-    right = np.concatenate([is_right(found, truth) for found, truth in passages])
+    right = np.concatenate([is_right(found, truth) for found, truth in segments])
     return Figures(float(np.median(moved_m)), float(np.degrees(np.median(turned))), float(np.mean(right)))

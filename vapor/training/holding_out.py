@@ -15,12 +15,12 @@ from vapor.checkpoints.scene_scale import spaced, typical_side_m
 from vapor.training_data.ground import (
     DIRECTION_RAD,
     FARTHEST,
+    describe_runs,
     near_m_of,
     near_scale_m,
     nearest_m,
     runs,
     shown_around,
-    told_runs,
 )
 from vapor.training_data.training_set import TrainingSet
 
@@ -245,5 +245,5 @@ def _in_words(images: TrainingSet, mask: Bool[np.ndarray, " n"]) -> str:
             parts.append(f"{name} ({len(own)} images)")
             continue
         own_runs = [run for run in runs(mask, images.sequence) if images.sequence[run.start] == number]
-        parts.append(f"{name}, images {told_runs(own_runs, int(own[0]))}")
+        parts.append(f"{name}, images {describe_runs(own_runs, int(own[0]))}")
     return "; ".join(parts[:_NAMED]) + (f"; and {len(parts) - _NAMED} more" if len(parts) > _NAMED else "")

@@ -13,20 +13,20 @@ from filtering.mapped_views import MappedViews
 from filtering.se3 import Poses
 from vapor.calibration.calibrate import NUM_SAMPLES
 from vapor.calibration.camera_fit import fit_camera
-from vapor.calibration.error_correlation import ErrorCorrelation, Travel, effective_images, mistaken_lengths
-from vapor.calibration.familiarity import extract_features
+from vapor.calibration.error_correlation import ErrorCorrelation, Travel, effective_images, outlier_lengths
 from vapor.calibration.image_errors import LEAST_IMAGES
+from vapor.calibration.ood_model import extract_features
 from vapor.calibration.verification import SeenPlaces, evidence, fit_reach, fit_verification, none_right
 from vapor.calibration.verified_errors import QueryFeatures, VerifiedErrors, fit_verified_errors, leave_out
 from vapor.checkpoints.calibration import Calibration
-from vapor.checkpoints.scene_scale import flat_log_density, spaced
+from vapor.checkpoints.scene_scale import log_clutter_density, spaced
 from vapor.evaluation.validation import predict
 from vapor.landmarks.build import BuiltMap, Material, build, gather
 from vapor.landmarks.landmark_map import ViewCamera
 from vapor.landmarks.localize import LandmarkLocalizer, VerifiedPose, query_features
 from vapor.landmarks.verify import Verification
 from vapor.regressors.base import PoseRegressor
-from vapor.regressors.familiarity import Familiarity
+from vapor.regressors.ood_model import OodModel
 from vapor.tracking.follow import posterior_of
 from vapor.training.config import CameraChoice, TrainConfig
 from vapor.training.holding_out import Split
@@ -94,9 +94,9 @@ def find_landmarks(
     features = cache(lambda image: query_features(images.views[images.rows[image]]))
     built, notes = _best_map(images, features, material, stated, choice if known else "estimated", known=known)
     if built is None:
-        return None, (*notes, _NONE.format("hardly any point is seen where the poses say that it must be"))
+        return None, (*notes, _NONE.format("hardly any point is seen where it must be by the poses"))
     left_out = leave_out(built, features, images.poses, images.sequence, advance=advance)
-    verified = fit_verified_errors(left_out, poses, images.sequence, flat_log_density(poses))
+    verified = fit_verified_errors(left_out, poses, images.sequence, log_clutter_density(poses))
     if verified is None:
         few = f"without the images taken near them in time they verify the poses of {len(left_out.right)} images only"
         return None, (*notes, _NONE.format(f"{few}, and how poses err is found on {LEAST_IMAGES} or more"))
@@ -148,14 +148,14 @@ class HeldOutLandmarks:
         hidden: Poses of the key images that it lacks, (h,).
         verification: Meaning of a verified place.
         none_right: Probability that none of the verified places of an image is the right one.
-        mistaken_lengths: Lengths of their errors over which verified places are mistaken for others.
+        outlier_lengths: Lengths of their errors over which verified places are mistaken for others.
     """
 
     localizer: LandmarkLocalizer
     hidden: Poses
     verification: Verification
     none_right: float = _NONE_RIGHT
-    mistaken_lengths: float = 4.0
+    outlier_lengths: float = 4.0
 
     @cached_property
     def mapped(self) -> MappedViews:
@@ -168,7 +168,7 @@ class HeldOutLandmarks:
         network: PoseRegressor,
         split: Split,
         calibration: Calibration,
-        familiarity: Familiarity | None,
+        ood_model: OodModel | None,
         config: TrainConfig,
     ) -> HeldOutLandmarks:
         """Find on the held-out images how reliable a verified place is."""
@@ -179,7 +179,7 @@ class HeldOutLandmarks:
         if not len(rows):
             return held
         some = split.source.select(rows)
-        scores = familiarity.unfamiliarity(extract_features(network, some)) if familiarity else np.zeros(len(rows))
+        scores = ood_model.ood_score(extract_features(network, some)) if ood_model else np.zeros(len(rows))
         seen, which, depth_m = [], [], landmarks.built.material.depth_m
         for row, samples, score in zip(rows, predict(network, some, NUM_SAMPLES, config.seed), scores, strict=True):
             posterior = posterior_of(samples, calibration.errors, float(score))
@@ -191,15 +191,15 @@ class HeldOutLandmarks:
         if not seen:
             return held
         errors, own = calibration.errors, landmarks.verified.errors
-        longer = max(errors.mistaken_lengths, 1.0)
-        lasting = ErrorCorrelation(1.0, longer * errors.length_m, longer * errors.length_rad)
+        longer = max(errors.outlier_lengths, 1.0)
+        correlation = ErrorCorrelation(1.0, longer * errors.length_m, longer * errors.length_rad)
         travel = Travel.along(split.source.poses, pass_numbers(split.source))[np.array(which)]
-        effective = effective_images(travel, lasting)
+        effective = effective_images(travel, correlation)
         verification, wrong = fit_verification(seen, effective, landmarks.verification), none_right(seen, effective)
         weights = evidence(seen, verification, wrong, errors.possible_fraction)
         lengths = ErrorCorrelation(1.0, own.length_m, own.length_rad)
-        mistaken = max(mistaken_lengths(weights, travel, lengths), _NEW_VIEW * depth_m / own.length_m)
-        return replace(held, verification=verification, none_right=wrong, mistaken_lengths=mistaken)
+        mistaken = max(outlier_lengths(weights, travel, lengths), _NEW_VIEW * depth_m / own.length_m)
+        return replace(held, verification=verification, none_right=wrong, outlier_lengths=mistaken)
 
     def found(self, images: TrainingSet, row: int, proposed: Poses | None = None) -> list[VerifiedPose]:
         """The poses that landmarks verify of an image, which is as new to the map wherever it looks alike.

@@ -10,14 +10,14 @@ from typing import Any, Literal
 
 from filtering.se3 import Poses
 from vapor.calibration.calibrate import CalibrationResult, calibrate
-from vapor.calibration.familiarity import EXEMPLARS, learn_familiarity
+from vapor.calibration.ood_model import EXEMPLARS, learn_ood_model
 from vapor.checkpoints.calibration import Calibration
 from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.checkpoints.scene_scale import MAX_PRIOR_POSES, default_errors, spaced
 from vapor.evaluation.validation import predict
 from vapor.landmarks.verify import Landmarks
 from vapor.regressors.base import PoseRegressor
-from vapor.regressors.familiarity import Familiarity
+from vapor.regressors.ood_model import OodModel
 from vapor.training.check import check
 from vapor.training.config import TrainConfig
 from vapor.training.holding_out import Split
@@ -75,23 +75,23 @@ def calibrate_and_check(
             calibration,
             landmarks=None if landmarks is None else Landmarks(landmarks.built.landmarks, landmarks.verification),
         )
-    familiarity = _familiarity(model, split.training, evaluated)
+    ood_model = _ood_model(model, split.training, evaluated)
     calibrated = calibrate(
         model,
         split.held_out,
         prior_poses,
         calibration,
         training=split.training,
-        familiarity=familiarity,
+        ood_model=ood_model,
         max_images=config.validation_images,
         seed=config.seed,
         advance=partial(advance, "calibrating"),
     )
     calibration = replace(calibrated.calibration, errors=replace(calibrated.calibration.errors, verified=verified))
     calibrated = replace(calibrated, calibration=calibration)
-    held = None if landmarks is None else HeldOutLandmarks.of(landmarks, model, split, calibration, familiarity, config)
+    held = None if landmarks is None else HeldOutLandmarks.of(landmarks, model, split, calibration, ood_model, config)
     if held is not None and verified is not None:
-        verified = replace(verified, outlier_probability=held.none_right, mistaken_lengths=held.mistaken_lengths)
+        verified = replace(verified, outlier_probability=held.none_right, outlier_lengths=held.outlier_lengths)
         calibration = replace(calibration, errors=replace(calibration.errors, verified=verified))
         calibrated = replace(calibrated, calibration=calibration)
     checked, calibration = check(
@@ -99,7 +99,7 @@ def calibrate_and_check(
         split.source,
         split.held_out_mask,
         calibrated,
-        familiarity,
+        ood_model,
         prior_poses,
         held,
         seed=config.seed,
@@ -121,7 +121,7 @@ def model_checkpoint(
     provenance: Mapping[str, Any],
 ) -> Checkpoint:
     """A finished model that learned from some images, ready to be written, with its provenance as JSON."""
-    familiarity = _familiarity(model, split.training, evaluated) if config.calibrate else None
+    ood_model = _ood_model(model, split.training, evaluated) if config.calibrate else None
     return Checkpoint(
         config.network,
         model.box,
@@ -130,14 +130,14 @@ def model_checkpoint(
         weights_of(model),
         model.memory.cpu() if model.memory else None,
         training=json.loads(json.dumps({**provenance, **found.provenance})),
-        familiarity=familiarity,
+        ood_model=ood_model,
         camera=split.training.camera,
         landmarks=found.landmarks,
     )
 
 
-def _familiarity(model: PoseRegressor, training: TrainingSet, evaluated: TrainingSet) -> Familiarity | None:
-    return learn_familiarity(model, training.select(spaced(len(training), EXEMPLARS)), evaluated)
+def _ood_model(model: PoseRegressor, training: TrainingSet, evaluated: TrainingSet) -> OodModel | None:
+    return learn_ood_model(model, training.select(spaced(len(training), EXEMPLARS)), evaluated)
 
 
 def _prior_poses(model: PoseRegressor, images: TrainingSet, seed: int) -> Poses:

@@ -27,7 +27,7 @@ RUN_IMAGES = 10
 _BREAK_S, _BREAK_STEPS = 1.0, 3.0
 
 
-def told_unshown(poses: Poses, training: Poses) -> str | None:
+def describe_unshown(poses: Poses, training: Poses) -> str | None:
     """A notice on a run over ground that training images do not show; None where they show it.
 
     Args:
@@ -37,10 +37,11 @@ def told_unshown(poses: Poses, training: Poses) -> str | None:
     shown, near_m = shown_around(poses, training)
     if (fraction := float((~shown).mean())) < _LEAST_UNSHOWN:
         return None
+    images = describe_runs(list(runs(~shown, np.zeros(len(shown), np.int64))), 0)
     return (
         f"{fraction:.0%} of the images were taken, by the smoothed trajectory, where no training image is within"
-        f" {near_m:.2g} m and 45°: images {told_runs(list(runs(~shown, np.zeros(len(shown), np.int64))), 0)}; expect"
-        " larger errors there, and train with a recording of that ground"
+        f" {near_m:.2g} m and 45°: images {images}; expect larger errors there,"
+        " and train with a recording of that ground"
     )
 
 
@@ -87,7 +88,7 @@ def runs(mask: Bool[np.ndarray, " n"], sequence: Int64[np.ndarray, " n"]) -> Ite
             yield slice(int(run[0]), int(run[-1]) + 1)
 
 
-def told_runs(found: Sequence[slice], first: int) -> str:
+def describe_runs(found: Sequence[slice], first: int) -> str:
     """The first and last image of each run, counted from the first image of their recording."""
     words = [f"{run.start - first} to {run.stop - 1 - first}" for run in found[:_NAMED_RUNS]]
     words += [f"{len(found) - _NAMED_RUNS} more"] if len(found) > _NAMED_RUNS else []

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from sequences.errors import NotFoundError, SequenceError
 from sequences.frame import Frame
-from sequences.live.reader import Heard, LiveReader
+from sequences.live.reader import LiveReader, TopicBuffer
 from sequences.options import ReadingOptions, SequenceOptions
 from sequences.reader import SequenceReader
 from sequences.recordings.message_definitions import encoder
@@ -45,7 +45,7 @@ class Robot:
     def __init__(self, transport: FakeTransport, options: ReadingOptions | None = None) -> None:
         self.transport, self.options = transport, options or ReadingOptions()
         self.events: queue.SimpleQueue[RawMessage] = queue.SimpleQueue()
-        self.heard = Heard(transport, self.events, options=self.options)
+        self.heard = TopicBuffer(transport, self.events, options=self.options)
         self.opened: LiveReader | None = None
         self.frames: list[tuple[int, Frame]] = []  # with the number of the reading
         self.wanting: list[str] = []  # what was not there yet
@@ -153,7 +153,7 @@ def test_frames_are_those_of_the_recording_to_the_last_bit(long_walk: Path, long
     assert robot.reader.camera.camera == CAMERA
     assert close(robot.reader.base_from_camera, BASE_FROM_CAMERA)
     assert robot.reader.counts.as_json() == {"stated": 30, "read": 30, "used": 30, "skipped": {}}
-    assert not robot.reader.messages_left_out
+    assert not robot.reader.skipped_messages
 
 
 def test_an_image_waits_until_odometry_has_come_as_far(raws: list[RawMessage]) -> None:
@@ -230,9 +230,9 @@ def test_odometry_that_comes_twice_or_late_is_left_out(raws: list[RawMessage], w
         said += [raw, raw._replace(data=odometry[max(n - 12, 0)].data)]  # of as long before as the last image at least
     robot = lived(sorted(said, key=lambda raw: raw.log_time_ns))
     require_same([frame for _, frame in robot.frames], SequenceReader(walk_file))
-    left_out = robot.reader.messages_left_out
-    assert set(left_out) == {"poses of odometry: time stamp not increasing"}
-    assert left_out.total() >= len(odometry) - 12
+    skipped = robot.reader.skipped_messages
+    assert set(skipped) == {"poses of odometry: time stamp not increasing"}
+    assert skipped.total() >= len(odometry) - 12
 
 
 def test_times_of_arrival_are_known_by_stamp(raws: list[RawMessage]) -> None:
@@ -329,7 +329,7 @@ def test_damaged_images_are_counted_and_the_others_used(raws: list[RawMessage], 
     assert counts.skipped.total() == number
     assert counts.skipped["undecodable image"] >= 8 * 8
     assert robot.reader.problems
-    assert not robot.reader.messages_left_out
+    assert not robot.reader.skipped_messages
     assert robot.reader.readings == 1
 
 
@@ -343,7 +343,7 @@ def test_damaged_messages_are_counted_and_frames_stay_what_they_are(
     assert number >= 11
     robot = lived(said)
     require_same([frame for _, frame in robot.frames], SequenceReader(walk_file))
-    assert robot.reader.messages_left_out.total() == number
+    assert robot.reader.skipped_messages.total() == number
     assert robot.reader.counts.as_json() == {"stated": 12, "read": 12, "used": 12, "skipped": {}}
 
 
@@ -353,7 +353,7 @@ def test_damaged_messages_of_tf_are_counted_where_odometry_is_told_there(tmp_pat
     robot = lived(said)
     require_same([frame for _, frame in robot.frames], SequenceReader(path))
     assert number > 400
-    assert robot.reader.messages_left_out.total() == number
+    assert robot.reader.skipped_messages.total() == number
 
 
 def test_before_everything_is_there_damaged_images_odometry_and_intrinsics_are_passed_over(
@@ -374,7 +374,7 @@ def test_poses_that_are_none_are_counted(raws: list[RawMessage], walk_file: Path
     bad = first._replace(data=encoder("nav_msgs/Odometry")(fields))
     robot = lived([each for raw in raws for each in ([raw, bad] if raw is first else [raw])])
     require_same([frame for _, frame in robot.frames], SequenceReader(walk_file))
-    assert robot.reader.messages_left_out == {"unusable poses of odometry": 1}
+    assert robot.reader.skipped_messages == {"unusable poses of odometry": 1}
     assert any("not finite" in said for said in robot.reader.problems.values())
 
 
@@ -418,7 +418,7 @@ def test_single_odd_stamps_are_left_out_and_the_reading_goes_on(
     robot = lived([said(raw) for raw in long_raws])
     assert robot.reader.readings == 1
     assert robot.reader.counts.skipped == {ODD: 5}
-    assert robot.reader.messages_left_out == {f"{ODD} on {ODOMETRY}": 6}
+    assert robot.reader.skipped_messages == {f"{ODD} on {ODOMETRY}": 6}
     assert len(robot.frames) == 25
     assert all(frame.odometry is not None for _, frame in robot.frames[1:])
     expected = {frame.time_ns: frame for frame in SequenceReader(long_walk)}

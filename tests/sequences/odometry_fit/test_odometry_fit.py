@@ -191,8 +191,8 @@ def test_what_is_no_fit_is_refused(fit: OdometryFit) -> None:
 
 
 def test_the_filter_takes_drift_and_scale_and_restated_increments_compose(fit: OdometryFit) -> None:
-    assert fit.slow_errors.drift == fit.drift
-    assert fit.slow_errors.scale == fit.scale_std
+    assert fit.odometry_bias.drift == fit.drift
+    assert fit.odometry_bias.scale == fit.scale_std
     whole, half = Poses.exp(np.array([0.4, 0, 0.2, 0, 0.6, 0])), Poses.exp(np.array([0.2, 0, 0.1, 0, 0.3, 0]))
     part = fit.restated(Odometry(half, np.eye(6), 0.5))
     stated = fit.restated(Odometry(whole, np.eye(6), 1.0))

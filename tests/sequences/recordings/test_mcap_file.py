@@ -191,7 +191,7 @@ def test_messages_come_as_they_lie_in_the_file_whatever_clocks_said(
 
 
 @pytest.mark.parametrize("options", FORMS_OF_FILES)
-def test_that_one_topic_is_over_says_nothing_of_another(
+def test_that_one_topic_is_over_is_uninformative_of_another(
     options: dict[str, object], walk_file: Path, tmp_path: Path
 ) -> None:
     bag = Bag(topic_after_topic(walk_file, tmp_path / "a.mcap", **options))

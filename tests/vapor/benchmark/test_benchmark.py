@@ -100,7 +100,7 @@ def test_the_summary_has_every_run_and_the_tables_every_kind(folder, tiny_model,
         assert f"ceiling, {said}" in out
     page = ReadPage.of((folder / "report.html").read_text())
     for kind, ablations in summary["summary"]["ceiling"].items():
-        sure = ablations["full"]["belief"]["filter"]["said_converged"]["images"]
+        sure = ablations["full"]["belief"]["filter"]["converged_images"]["images"]
         said = f"of the {sure} images that it called converged" if sure else "never sure"
         assert f"Ceiling, {choose.KINDS[kind].meaning}: the filter " in page.words
         assert said in page.words
@@ -137,7 +137,7 @@ def test_runs_at_several_rates_are_cut_from_one_recording(tiny_model, tmp_path, 
     assert {each["kind"]: each["images"] for each in runs} == {"rate-3": 15, "rate-10": 50, "rate-30": 150}
 
 
-def test_walks_where_floors_look_alike_are_evaluated_but_for_the_floor_and_once_on_it(tiny_model, tmp_path, capsys):
+def test_walks_where_storeys_look_alike_are_evaluated_but_for_the_storey_and_once_on_it(tiny_model, tmp_path, capsys):
     words = ["localization", "corridor", "--models", str(tiny_model), "--output", str(tmp_path)]
     assert main([*words, *OPTIONS, "--kinds", "walk", "--odometry-scale", "0.02"]) == 0
     out = capsys.readouterr().out
@@ -146,9 +146,9 @@ def test_walks_where_floors_look_alike_are_evaluated_but_for_the_floor_and_once_
     (each,) = json.loads((tmp_path / "summary.json").read_text())["runs"]
     assert each["images"] == 50
     for name, method in each["methods"].items():
-        assert method["floor"]["settled_images"] <= 50
+        assert method["storey"]["settled_images"] <= 50
         if name in each["belief"]:
-            assert each["belief"][name]["on_floor"]["images"] == method["floor"]["settled_images"]
+            assert each["belief"][name]["on_storey"]["images"] == method["storey"]["settled_images"]
     (settings,) = (tmp_path / "recordings").glob("*/settings.json")
     assert json.loads(settings.read_text())["odometry_scale"] == 0.02
     with pytest.raises(SystemExit):

@@ -62,15 +62,15 @@ def assert_odometry_is_untouched(faulty: Replay, images=range(N)) -> None:
         np.testing.assert_array_equal(faulty.odometry[image].covariance, walk().odometry[image].covariance)
 
 
-def test_without_images_nothing_is_said_and_nothing_is_foreign():
+def test_without_images_nothing_is_said_and_nothing_is_out_of_distribution():
     faulty = no_images(walk(), DURING)
     assert seen(faulty) == [None if image in DURING else image for image in range(N)]
-    assert set(faulty.unfamiliarity[DURING]) == {0.0}
-    assert set(faulty.unfamiliarity[OUTSIDE]) == {0.25}
+    assert set(faulty.ood_score[DURING]) == {0.0}
+    assert set(faulty.ood_score[OUTSIDE]) == {0.25}
     assert_odometry_is_untouched(faulty)
 
 
-def test_an_image_that_says_nothing_moves_the_filter_as_no_image_does():
+def test_an_image_that_is_uninformative_moves_the_filter_as_no_image_does():
     replay, (one, other) = walk(), [ParticleLocalizer(None, rng=np.random.default_rng(0)) for _ in range(2)]
     for localizer in (one, other):
         localizer.update(PosePosterior.from_samples(translated([[0.0, 0.0, 0.0]]), posterior().errors), None)
@@ -81,26 +81,26 @@ def test_an_image_that_says_nothing_moves_the_filter_as_no_image_does():
     assert (predicted.status, predicted.agreement) == (updated.status, updated.agreement)
 
 
-def posterior(unfamiliarity: float = 0.0) -> PosePosterior:
-    return posterior_of(Poses.identity(0), PosePosterior.nothing().errors, unfamiliarity)
+def posterior(ood_score: float = 0.0) -> PosePosterior:
+    return posterior_of(Poses.identity(0), PosePosterior.uninformative().errors, ood_score)
 
 
-def test_a_frozen_camera_says_nothing_and_is_as_unfamiliar_as_its_last_image():
+def test_a_frozen_camera_is_uninformative_and_is_as_unfamiliar_as_its_last_image():
     replay = walk()
-    replay.unfamiliarity[9] = 1.5
+    replay.ood_score[9] = 1.5
     faulty = frozen(replay, DURING)
     assert seen(faulty) == [None if image in DURING else image for image in range(N)]
-    assert set(faulty.unfamiliarity[DURING]) == {1.5}
-    np.testing.assert_array_equal(faulty.unfamiliarity[OUTSIDE], replay.unfamiliarity[OUTSIDE])
+    assert set(faulty.ood_score[DURING]) == {1.5}
+    np.testing.assert_array_equal(faulty.ood_score[OUTSIDE], replay.ood_score[OUTSIDE])
     assert_odometry_is_untouched(faulty)
-    assert posterior(1.5).is_foreign  # as ParticleLocalizer.observe leaves it
+    assert posterior(1.5).is_out_of_distribution  # as ParticleLocalizer.observe leaves it
 
 
 def test_other_images_are_shown_while_the_fault_lasts():
     faulty = shown(walk(), DURING, lambda image: translated([[100.0 + image, 0.0, 0.0]]), np.arange(float(N)))
     assert seen(faulty) == [100.0 + image if image in DURING else image for image in range(N)]
-    np.testing.assert_array_equal(faulty.unfamiliarity[DURING], list(DURING))
-    assert set(faulty.unfamiliarity[OUTSIDE]) == {0.25}
+    np.testing.assert_array_equal(faulty.ood_score[DURING], list(DURING))
+    assert set(faulty.ood_score[OUTSIDE]) == {0.25}
     assert_odometry_is_untouched(faulty)
 
 

@@ -8,7 +8,7 @@ from filtering.se3 import Poses
 from vapor.benchmark.recordings.storage import CameraPath
 from vapor.benchmark.trials.choose import (
     KINDS,
-    Segment,
+    Excerpt,
     Trial,
     choose_trials,
     cue_starts,
@@ -103,21 +103,21 @@ def test_where_nothing_unique_is_seen_or_all_places_are_near_the_search_ends(kin
     ],
 )
 def test_some_kinds_take_whole_recordings_of_which_some_images_are_seen(kind, cues, rate, stride):
-    assert chosen(kind, runs=2) == [Trial("ceiling", kind, (Segment(s, 0, rate * FRAMES),), stride) for s in (7, 8)]
+    assert chosen(kind, runs=2) == [Trial("ceiling", kind, (Excerpt(s, 0, rate * FRAMES),), stride) for s in (7, 8)]
     assert recorded_images(kind, walk_frames(kind, FRAMES)) == rate * FRAMES
     assert KINDS[kind].cues == cues
 
 
 @pytest.mark.parametrize(("kind", "rate"), [("standing", 1), ("standing-30", 3)])
 def test_a_standing_camera_walks_for_five_seconds_and_stands_for_five_minutes(kind, rate):
-    assert chosen(kind, runs=1) == [Trial("ceiling", kind, (Segment(7, 0, rate * 3050, rate * 50),))]
+    assert chosen(kind, runs=1) == [Trial("ceiling", kind, (Excerpt(7, 0, rate * 3050, rate * 50),))]
     assert walk_frames(kind, FRAMES) == 51  # while it stands, the path does not go on
 
 
 def test_a_camera_stops_before_something_unique_where_there_is_any_after_five_seconds():
     seen = [*range(20, 30), *range(60, 64), *range(70, 90)]  # too early, and too short
     (trial,) = chosen("standing-cue", runs=1, path=lambda seed: path_seeing(seen if seed > 8 else range(50)))
-    assert trial.segments == (Segment(9, 0, 3074, 74),)
+    assert trial.segments == (Excerpt(9, 0, 3074, 74),)
 
 
 def test_a_kidnap_goes_far_and_lands_where_something_unique_is_soon_seen():

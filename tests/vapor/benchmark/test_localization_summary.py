@@ -1,4 +1,4 @@
-"""The summary of a benchmark: fractions, intervals, floors, and the tables."""
+"""The summary of a benchmark: fractions, intervals, storeys, and the tables."""
 
 import pytest
 
@@ -34,7 +34,7 @@ def result(
     }
     belief = {
         "status": {"converged": converged, "ambiguous": 1 - converged, "lost": 0.0},
-        "said_converged": consistency(round(100 * converged), wrong),
+        "converged_images": consistency(round(100 * converged), wrong),
         "after_convergence": consistency(70 if success else 0),
         "truth_among_modes": 0.9,
         "longest_wrong_s": 10 * converged * wrong,
@@ -58,7 +58,7 @@ def test_fractions_of_images_are_weighed_by_how_many_images_there_were():
         result("cue", converged=0.0, wrong=0.0),
     ]
     total = summarise(both)["ceiling"]["cue"]["full"]
-    said = total["belief"]["filter"]["said_converged"]
+    said = total["belief"]["filter"]["converged_images"]
     assert (said["images"], said["wrong"]) == (100, pytest.approx(0.1))
     assert said["coverage"]["95%"] == pytest.approx(0.9)
     assert total["belief"]["filter"]["status"]["converged"] == pytest.approx(1 / 3)
@@ -99,7 +99,7 @@ def test_intervals_of_alike_runs_have_no_width_and_those_of_others_hold_the_figu
         for _ in range(3)
     ]
     total = summarise(runs)["ceiling"]["cue"]["full"]
-    method, said = total["methods"]["filter"], total["belief"]["filter"]["said_converged"]
+    method, said = total["methods"]["filter"], total["belief"]["filter"]["converged_images"]
     assert (total["runs"], total["walks"]) == (30, 10)
     assert method["intervals"]["median_translation_m"] == (0.1, 0.1)
     for interval, figure in (
@@ -111,35 +111,35 @@ def test_intervals_of_alike_runs_have_no_width_and_those_of_others_hold_the_figu
         assert interval[0] < figure < interval[1]
 
 
-def on_floor(each: dict, right: float) -> dict:
-    """A result of where floors look alike: as many images once on it are right as are said."""
-    floor = {"but_for_it": right, "settled_images": 90, "settled_right": right}
-    methods = {name: method | {"floor": floor} for name, method in each["methods"].items()}
-    belief = {name: found | {"on_floor": consistency(90, 1.0 - right)} for name, found in each["belief"].items()}
+def on_storey(each: dict, right: float) -> dict:
+    """A result of where storeys look alike: as many images once on it are right as are said."""
+    storey = {"but_for_it": right, "settled_images": 90, "settled_right": right}
+    methods = {name: method | {"storey": storey} for name, method in each["methods"].items()}
+    belief = {name: found | {"on_storey": consistency(90, 1.0 - right)} for name, found in each["belief"].items()}
     return each | {"methods": methods, "belief": belief}
 
 
-def test_floors_are_summed_up_over_the_images_on_them_with_intervals():
+def test_storeys_are_summed_up_over_the_images_on_them_with_intervals():
     runs = [
-        on_floor(result("walk", converged=0.5 + 0.01 * walk, wrong=0.0, walk=walk), 0.5 + 0.04 * walk)
+        on_storey(result("walk", converged=0.5 + 0.01 * walk, wrong=0.0, walk=walk), 0.5 + 0.04 * walk)
         for walk in range(10)
     ]
-    never = on_floor(result("walk", converged=0.9, wrong=0.0, walk=10), 0.1)
+    never = on_storey(result("walk", converged=0.9, wrong=0.0, walk=10), 0.1)
     nowhere = {"but_for_it": 0.1, "settled_images": 0, "settled_right": None}
-    never["methods"] = {name: method | {"floor": nowhere} for name, method in never["methods"].items()}
-    never["belief"] = {name: found | {"on_floor": consistency(0)} for name, found in never["belief"].items()}
+    never["methods"] = {name: method | {"storey": nowhere} for name, method in never["methods"].items()}
+    never["belief"] = {name: found | {"on_storey": consistency(0)} for name, found in never["belief"].items()}
     total = summarise([*runs, never])["ceiling"]["walk"]["full"]
-    floor, belief = total["methods"]["smoothed"]["floor"], total["belief"]["filter"]["on_floor"]
-    assert (floor["settled_images"], belief["images"]) == (900, 900)
-    assert floor["settled_right"] == pytest.approx(0.68)
+    storey, belief = total["methods"]["smoothed"]["storey"], total["belief"]["filter"]["on_storey"]
+    assert (storey["settled_images"], belief["images"]) == (900, 900)
+    assert storey["settled_right"] == pytest.approx(0.68)
     assert belief["wrong"] == pytest.approx(0.32)
-    assert floor["but_for_it"] == pytest.approx((6.8 + 0.1) / 11)
+    assert storey["but_for_it"] == pytest.approx((6.8 + 0.1) / 11)
     for name in ("but_for_it", "settled_right"):
-        low, high = floor["intervals"][name]
-        assert low < floor[name] < high
+        low, high = storey["intervals"][name]
+        assert low < storey[name] < high
     elsewhere = summarise([result("walk", converged=0.5, wrong=0.0)])["ceiling"]["walk"]["full"]
-    assert "floor" not in elsewhere["methods"]["filter"]
-    assert "on_floor" not in elsewhere["belief"]["filter"]
+    assert "storey" not in elsewhere["methods"]["filter"]
+    assert "on_storey" not in elsewhere["belief"]["filter"]
 
 
 def in_sequences(each: dict, found: list[float], number: int = 20) -> dict:
@@ -148,7 +148,7 @@ def in_sequences(each: dict, found: list[float], number: int = 20) -> dict:
     single = {"1m": 0.1, "0.5m": 0.0}
     names = ("kalman", "gaussian_sum", "filter")
     short = {"sequences": number, "success": {"single_image": single} | dict.fromkeys(names, success)}
-    methods = {name: method | {"floor_accuracy": found[0]} for name, method in each["methods"].items()}
+    methods = {name: method | {"storey_accuracy": found[0]} for name, method in each["methods"].items()}
     return each | {"methods": methods, "sequences": {"15": short, "100": {"sequences": 0, "success": None}}}
 
 
@@ -166,7 +166,7 @@ def test_sequences_are_summed_up_over_all_of_them_with_intervals_over_walks():
     assert low <= 0.5 + 1e-9
     assert high == 1.0
     assert total["sequences"]["100"] == {"sequences": 0, "success": {}, "intervals": {}}
-    assert total["methods"]["filter"]["floor_accuracy"] == pytest.approx(0.75)
+    assert total["methods"]["filter"]["storey_accuracy"] == pytest.approx(0.75)
     assert total["methods"]["filter"]["position_recall"] == pytest.approx({"1m": 0.7, "3m": 0.805, "5m": 0.9})
     assert "sequences" not in summarise([result("cue", converged=0.5, wrong=0.0)])["ceiling"]["cue"]["full"]
 
@@ -181,7 +181,7 @@ def test_the_tables_fit_a_terminal(width, monkeypatch, capsys):
         for kind in ("rate-3", "rate-10", "rate-30", "kidnap", "standing", "standing-30")
         for walk in range(10)
     ]
-    rates = [on_floor(each, 0.9 + 0.01 * each["walk"]) for each in rates]
+    rates = [on_storey(each, 0.9 + 0.01 * each["walk"]) for each in rates]
     rates = [in_sequences(each, [0.9 + 0.01 * each["walk"], 0.8]) for each in rates]
     for each in rates:
         each["sequences"]["100"] = each["sequences"]["15"]

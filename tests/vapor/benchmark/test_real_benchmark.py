@@ -206,8 +206,8 @@ def test_hlocs_estimates_of_the_stairs_are_as_good_as_published(shared_data, tmp
     for name in ("stairs_hloc", "stairs_x30_hloc"):
         row = next(row for row in ROWS if row.name == name)
         draw = row.draw(RowContext(shared_data, tmp_path), 0, LocalizerConfig())
-        places = [draw.passage.posterior(i).means for i in range(0, 1000, 4)]
-        error_m = [place.distance(draw.passage.truth[4 * i])[0].max() for i, place in enumerate(places)]
+        places = [draw.segment.posterior(i).means for i in range(0, 1000, 4)]
+        error_m = [place.distance(draw.segment.truth[4 * i])[0].max() for i, place in enumerate(places)]
         assert np.median(error_m) / draw.unit_m == pytest.approx(0.051, abs=0.003)
-        assert len(draw.passage.times_ns) == draw.evaluated[""].sum() == 1000
-        assert sum(motion is None for motion in draw.passage.odometry) == 2  # of two sequences the first
+        assert len(draw.segment.times_ns) == draw.evaluated[""].sum() == 1000
+        assert sum(motion is None for motion in draw.segment.odometry) == 2  # of two sequences the first

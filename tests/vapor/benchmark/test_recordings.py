@@ -13,7 +13,7 @@ from sequences.synthesize import synthesize, write_synthetic
 from vapor.benchmark.recordings import record
 from vapor.benchmark.recordings.record import camera_path, make_recording
 from vapor.benchmark.recordings.storage import RecordingSettings, load_recording
-from vapor.benchmark.trials.choose import Segment, Trial
+from vapor.benchmark.trials.choose import Excerpt, Trial
 from vapor.benchmark.trials.replay import assemble
 from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.checkpoints.file_format import load_checkpoint
@@ -47,7 +47,7 @@ def test_a_recording_holds_what_reading_and_observing_the_file_gives(directory, 
         assert recording.times_ns[i] == frame.time_ns
         posterior = model.observe(frame.image, rng=rng)
         np.testing.assert_array_equal(recording.posterior_poses(i).as_matrix(), posterior.samples.as_matrix())
-        assert recording.unfamiliarity[i] == posterior.unfamiliarity
+        assert recording.ood_score[i] == posterior.ood_score
         np.testing.assert_array_equal(
             recording.path.world_from_camera[i].as_matrix(), frame.world_from_camera.as_matrix()
         )
@@ -106,10 +106,10 @@ def test_every_setting_of_a_recording_is_checked():
 
 def test_a_kidnap_jumps_in_what_is_seen_but_not_in_time_or_odometry(directory):
     first, second = (
-        replace(load_recording(replace(SETTINGS, seed=seed), directory), unfamiliarity=seed + np.linspace(0.0, 0.9, 12))
+        replace(load_recording(replace(SETTINGS, seed=seed), directory), ood_score=seed + np.linspace(0.0, 0.9, 12))
         for seed in (5, 6)
     )
-    trial = Trial("ceiling", "kidnap", (Segment(5, 2, 6), Segment(6, 3, 4)))
+    trial = Trial("ceiling", "kidnap", (Excerpt(5, 2, 6), Excerpt(6, 3, 4)))
     replay = assemble(trial, lambda segment: {5: first, 6: second}[segment.seed])
     assert len(replay.odometry) == len(replay.truth) == len(replay.times_ns) == 10
     assert set(np.diff(replay.times_ns)) == {100_000_000}
@@ -123,7 +123,7 @@ def test_a_kidnap_jumps_in_what_is_seen_but_not_in_time_or_odometry(directory):
         )
         np.testing.assert_array_equal(replay.odometry[i].covariance, moving.covariance)
     assert replay.cue_images == first.path.sees_cue[2:8].sum() + second.path.sees_cue[3:7].sum()
-    np.testing.assert_array_equal(replay.unfamiliarity, [*first.unfamiliarity[2:8], *second.unfamiliarity[3:7]])
+    np.testing.assert_array_equal(replay.ood_score, [*first.ood_score[2:8], *second.ood_score[3:7]])
 
 
 def test_of_a_faster_recording_every_third_image_is_seen_and_the_motions_between_add_up(checkpoint, tmp_path):
@@ -131,8 +131,8 @@ def test_of_a_faster_recording_every_third_image_is_seen_and_the_motions_between
     make_recording(fast, checkpoint, tmp_path)
     recording = load_recording(fast, tmp_path)
     assert np.diff(recording.times_ns) == pytest.approx([1e9 / 30] * 12, abs=2)
-    replay = assemble(Trial("ceiling", "rate-10", (Segment(5, 0, 13),), 3), lambda segment: recording)
-    assert len(replay.odometry) == len(replay.truth) == len(replay.times_ns) == len(replay.unfamiliarity) == 5
+    replay = assemble(Trial("ceiling", "rate-10", (Excerpt(5, 0, 13),), 3), lambda segment: recording)
+    assert len(replay.odometry) == len(replay.truth) == len(replay.times_ns) == len(replay.ood_score) == 5
     assert replay.times_ns[0] == recording.times_ns[0]
     np.testing.assert_allclose(np.diff(replay.times_ns), 1e8, atol=10)
     np.testing.assert_array_equal(replay.truth.as_matrix(), recording.path.world_from_camera[::3].as_matrix())

@@ -13,20 +13,20 @@ from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from tests.helpers.modelled_walk import ERRORS, walk
 from vapor.benchmark.evaluation import evaluate_sequences, starts_of_sequences, succeeds
-from vapor.tracking.follow import Passage, follow
+from vapor.tracking.follow import Segment, follow
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 
 STILL = Odometry(Poses.identity(), 1e-6 * np.eye(6), 0.1)
 
 
-def passage_of(made) -> Passage:
+def segment_of(made) -> Segment:
     times_ns = 100_000_000 * np.arange(len(made.posteriors))
-    return Passage(times_ns, tuple(made.odometry), made.truth, made.posteriors.__getitem__)
+    return Segment(times_ns, tuple(made.odometry), made.truth, made.posteriors.__getitem__)
 
 
-def followed(passage: Passage, errors=ERRORS):
-    return follow(passage, errors, LocalizerConfig(), rng=np.random.default_rng(0), baselines=())
+def followed(segment: Segment, errors=ERRORS):
+    return follow(segment, errors, LocalizerConfig(), rng=np.random.default_rng(0), baselines=())
 
 
 def test_one_of_the_last_ten_images_off_is_a_failure_and_of_those_before_none_counts():
@@ -64,25 +64,25 @@ def naive_starts(length: int, usable: list[bool], breaks: list[bool], empty: lis
 )
 def test_sequences_are_the_earliest_without_gaps_that_begin_with_a_place(length, images):
     usable, moved, seen = (list(each) for each in zip(*images, strict=True))
-    passage = Passage(
+    segment = Segment(
         np.arange(len(images)) * 10**8,
         tuple(STILL if each else None for each in moved),
         Poses.identity(len(images)),
         lambda image: (
             PosePosterior.from_estimates(Poses.identity(1), 0.1, 0.1, ERRORS)
             if seen[image]
-            else PosePosterior.nothing(ERRORS)
+            else PosePosterior.uninformative(ERRORS)
         ),
     )
-    found = list(starts_of_sequences(passage, length, np.array(usable)))
+    found = list(starts_of_sequences(segment, length, np.array(usable)))
     assert found == naive_starts(length, usable, [not each for each in moved], [not each for each in seen])
 
 
 def test_a_sequence_knows_nothing_of_what_was_seen_before_it():
     """The first fifteen images show where the camera is; of the next each fits a place ten metres above as well."""
     made = walk(30, rng=np.random.default_rng(1), lifts=lambda i: (0.0,) if i < 15 else (10.0, 0.0))
-    passage = passage_of(made)
-    whole = followed(passage)
+    segment = segment_of(made)
+    whole = followed(segment)
     assert succeeds(whole.poses["filter"], made.truth) == {"1m": True, "0.5m": True}
     figures = evaluate_sequences(whole, seed=(0,))
     assert figures["15"]["sequences"] == 2
@@ -98,7 +98,7 @@ def test_a_sequence_knows_nothing_of_what_was_seen_before_it():
 
 def test_what_is_unique_early_in_a_sequence_helps_its_end_and_no_single_image():
     made = walk(15, rng=np.random.default_rng(2), lifts=lambda i: (0.0,) if i < 3 else (10.0, 0.0))
-    success = evaluate_sequences(followed(passage_of(made)), seed=(0,))["15"]["success"]
+    success = evaluate_sequences(followed(segment_of(made)), seed=(0,))["15"]["success"]
     assert success["filter"]["1m"] == success["gaussian_sum"]["1m"] == 1.0
     assert success["single_image"]["1m"] == 0.0
 
@@ -111,20 +111,20 @@ def test_limits_grow_with_the_unit():
     for unit in (1.0, 30.0):
         made = walk(45, rng=np.random.default_rng(3), lifts=lifts, unit=unit)
         errors = ERRORS.scaled(unit)
-        found.append(evaluate_sequences(followed(passage_of(made), errors), seed=(0,), unit_m=unit))
+        found.append(evaluate_sequences(followed(segment_of(made), errors), seed=(0,), unit_m=unit))
     assert found[0] == found[1]
     assert 0.0 < found[0]["15"]["success"]["filter"]["1m"] < 1.0  # the third one has nothing unique
 
 
 def test_each_image_is_asked_for_once_however_many_sequences_it_is_in():
     made, asked = walk(210, rng=np.random.default_rng(4)), []
-    passage = passage_of(made)
+    segment = segment_of(made)
 
     def noted(image: int) -> PosePosterior:
         asked.append(image)
         return made.posteriors[image]
 
-    whole = replace(followed(passage), passage=replace(passage, posterior=noted))
+    whole = replace(followed(segment), segment=replace(segment, posterior=noted))
     figures = evaluate_sequences(whole, seed=(0,), baselines=())
     assert (figures["15"]["sequences"], figures["100"]["sequences"]) == (14, 2)
     assert sorted(asked) == list(range(210))

@@ -1,4 +1,4 @@
-"""Floors in the result of a trial."""
+"""Storeys in the result of a trial."""
 
 from types import SimpleNamespace
 
@@ -11,7 +11,7 @@ from sequences.scenes import find_scene
 from tests.helpers.corridors import corridor
 from vapor.benchmark.evaluation import Comparison
 from vapor.benchmark.trials import replay
-from vapor.benchmark.trials.choose import Segment, Trial
+from vapor.benchmark.trials.choose import Excerpt, Trial
 from vapor.tracking.loop import Belief
 from vapor.tracking.methods import METHODS
 
@@ -19,9 +19,9 @@ pytestmark = pytest.mark.usefixtures("unchecked")
 
 
 @pytest.mark.parametrize("priors", [None, 50])
-def test_floors_are_evaluated_where_they_look_alike_and_where_there_are_several(priors, monkeypatch):
-    """Of one floor none is right or not."""
-    height = find_scene("corridor").floor_height_m
+def test_storeys_are_evaluated_where_they_look_alike_and_where_there_are_several(priors, monkeypatch):
+    """Of one storey none is right or not."""
+    height = find_scene("corridor").storey_height_m
     assert height == 3.2
     truth = Poses(np.tile(np.eye(3), (4, 1, 1)), np.array([[x, 0.0, 0.0] for x in range(4)]))
     off = Poses(truth.rotation, truth.translation + np.array([[0.0, 0.0, height * up] for up in (1.05, 1, 0, 0)]))
@@ -35,14 +35,14 @@ def test_floors_are_evaluated_where_they_look_alike_and_where_there_are_several(
         ablation="full", cue_images=0, checkpoint=lambda: SimpleNamespace(prior_poses=storeys[:priors])
     )
     for scene in ("corridor", "ceiling"):
-        trial = Trial(scene, "cue", (Segment(0, 0, 4),))
+        trial = Trial(scene, "cue", (Excerpt(0, 0, 4),))
         found = replay.localize(trial, given, given)  # pyright: ignore[reportArgumentType]
         told, belief = found["methods"]["smoothed"], found["belief"]["filter"]
-        assert told.get("floor_accuracy") == (0.5 if priors is None else None)
+        assert told.get("storey_accuracy") == (0.5 if priors is None else None)
         assert "sequences" not in found
         if scene == "corridor":
-            assert told["floor"] == {"but_for_it": 1.0, "settled_images": 2, "settled_right": 1.0}
-            assert belief["on_floor"]["images"] == 2
+            assert told["storey"] == {"but_for_it": 1.0, "settled_images": 2, "settled_right": 1.0}
+            assert belief["on_storey"]["images"] == 2
         else:
-            assert "floor" not in told
-            assert "on_floor" not in belief
+            assert "storey" not in told
+            assert "on_storey" not in belief

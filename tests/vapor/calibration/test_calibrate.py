@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from filtering.error_model import ErrorModel
+from filtering.measurement_noise import MeasurementNoise
 from filtering.se3 import Poses
 from tests.helpers.data_sets import make_7scenes
 from tests.helpers.erring_posteriors import anywhere
@@ -16,13 +16,13 @@ from tests.helpers.sequence_files import Walk, rewrite
 from tests.helpers.simulation import frames_of
 from vapor.calibration import calibrate as calibrate_module
 from vapor.calibration.calibrate import calibrate, fit_widths
-from vapor.calibration.familiarity import learn_familiarity
+from vapor.calibration.ood_model import learn_ood_model
 from vapor.checkpoints.calibration import Calibration
 from vapor.checkpoints.file_format import load_checkpoint
 from vapor.checkpoints.scene_scale import default_errors
-from vapor.regressors.familiarity import Familiarity
 from vapor.regressors.loss import LossConfig
 from vapor.regressors.network_config import NetworkConfig
+from vapor.regressors.ood_model import OodModel
 from vapor.regressors.scene_box import SceneBox
 from vapor.regressors.variational import VariationalPoseRegressor
 from vapor.tensor_files import read_safetensors
@@ -48,7 +48,7 @@ def few_samples(monkeypatch):
 
 def test_too_few_images_keep_the_calibration_and_say_so():
     images = load_training_set({"a": frames_of(19)}, (36, 36))
-    before = Calibration(0.3, 0.2, ErrorModel(tail=3.7))
+    before = Calibration(0.3, 0.2, MeasurementNoise(degrees_of_freedom=3.7))
     result = calibrate(network_for(images), images, images.poses, before, max_images=500, seed=0)
     assert result.calibration == before
     assert (result.images, result.changes, result.coverage) == (0, (), None)
@@ -74,7 +74,7 @@ def test_errors_are_fitted_on_images_and_odometry_on_what_leads_between_them():
     assert result.coverage is not None
     assert 0.0 <= result.coverage[0] <= result.coverage[1] <= result.coverage[2] <= 1.0
     errors = result.calibration.errors
-    assert errors != ErrorModel()
+    assert errors != MeasurementNoise()
     # A network of random weights is anywhere in the scene: what it says is worth little.
     extent = np.ptp(images.poses.translation, axis=0)
     assert max(errors.typical_std[:3]) > 0.1 * extent.max()
@@ -120,12 +120,12 @@ def test_how_errors_grow_with_the_score_is_fitted_where_images_trained_on_are_at
     held_out = load_training_set({"a": frames_of(80, seed=1)}, (36, 36))
     training = load_training_set({"b": frames_of(60, seed=2)}, (36, 36))
     network = network_for(held_out)
-    familiarity = learn_familiarity(network, training, held_out)
+    ood_model = learn_ood_model(network, training, held_out)
 
     def score(count):
         return np.full(count, 0.1) if count == 60 else np.linspace(0.2, 0.9, count)
 
-    monkeypatch.setattr(Familiarity, "unfamiliarity", lambda self, descriptions: score(len(descriptions)))
+    monkeypatch.setattr(OodModel, "ood_score", lambda self, descriptions: score(len(descriptions)))
     monkeypatch.setattr(calibrate_module, "predict", errs_by(score, factor))
     seen = []
     result = calibrate(
@@ -134,20 +134,20 @@ def test_how_errors_grow_with_the_score_is_fitted_where_images_trained_on_are_at
         held_out.poses,
         Calibration(),
         training=training,
-        familiarity=familiarity,
+        ood_model=ood_model,
         max_images=80,
         seed=0,
         advance=lambda done, total: seen.append((done, total)),
     )
     errors = result.calibration.errors
-    assert errors.unfamiliar_power == pytest.approx(power, abs=0.25)
-    assert errors.unfamiliar_score == pytest.approx(0.55)
-    assert result.changes[1].after["unfamiliar_power"] == errors.unfamiliar_power
+    assert errors.ood_power == pytest.approx(power, abs=0.25)
+    assert errors.typical_ood_score == pytest.approx(0.55)
+    assert result.changes[1].after["ood_power"] == errors.ood_power
     assert (seen[0], seen[-1]) == ((1, 140), (140, 140))  # those trained on are looked at as well
     without = calibrate(
         network, held_out, held_out.poses, Calibration(), training=training, max_images=80, seed=0
     ).calibration.errors
-    assert (without.unfamiliar_power, without.unfamiliar_score) == (0.0, ErrorModel().unfamiliar_score)
+    assert (without.ood_power, without.typical_ood_score) == (0.0, MeasurementNoise().typical_ood_score)
 
 
 @pytest.mark.usefixtures("widest_places")
@@ -199,7 +199,7 @@ def test_the_command_writes_the_same_weights_with_another_calibration(tiny_model
     assert main(["calibrate", str(tiny_model), str(walk), "--output", str(output), "--device", "cpu"]) == 0
     printed = capsys.readouterr().out
     assert "60 held-out images" in printed
-    assert "lasting_fraction" in printed
+    assert "correlated_fraction" in printed
     assert "true poses in the 50, 90, 95 % regions of single images" in printed
     before, after = load_checkpoint(tiny_model), load_checkpoint(output)
     assert after.calibration.bandwidth_translation_m != before.calibration.bandwidth_translation_m

@@ -1,4 +1,4 @@
-"""The fit of an ErrorModel, on posteriors that err as one says."""
+"""The fit of an MeasurementNoise, on posteriors that err as one says."""
 
 from dataclasses import replace
 from functools import cache
@@ -6,27 +6,27 @@ from functools import cache
 import numpy as np
 import pytest
 
-from filtering.error_model import ErrorModel
+from filtering.measurement_noise import MeasurementNoise
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from tests.helpers.erring_posteriors import TRUE, UNIT, anywhere, fit, fitted, posteriors, simulated, student, walk
 from vapor.calibration.error_correlation import Travel
 from vapor.calibration.image_errors import fit_errors
 from vapor.calibration.places import Observations
-from vapor.checkpoints.scene_scale import default_errors, flat_log_density, scene_extent
+from vapor.checkpoints.scene_scale import default_errors, log_clutter_density, scene_extent
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 
 
-def test_spread_floor_tail_and_outliers_of_known_errors_are_found():
+def test_spread_storey_tail_and_outliers_of_known_errors_are_found():
     errors = fitted().errors
     assert errors.spread == pytest.approx(TRUE.spread, rel=0.35)
-    np.testing.assert_allclose(errors.floor, TRUE.floor, rtol=0.3)
-    assert 3.0 < errors.tail < 10.0
+    np.testing.assert_allclose(errors.noise_floor, TRUE.noise_floor, rtol=0.3)
+    assert 3.0 < errors.degrees_of_freedom < 10.0
     assert errors.outlier_probability == pytest.approx(TRUE.outlier_probability, abs=0.05)  # three standard deviations
     spread = 0.06 * UNIT * np.sqrt(TRUE.spread)
-    np.testing.assert_allclose(errors.typical_std, np.hypot(spread, TRUE.floor), rtol=0.25)
-    assert errors.flat_log_density == flat_log_density(simulated()[1])
+    np.testing.assert_allclose(errors.typical_std, np.hypot(spread, TRUE.noise_floor), rtol=0.25)
+    assert errors.log_clutter_density == log_clutter_density(simulated()[1])
     assert errors.possible_fraction == 0.05
     assert 0.1 < errors.constant_fraction < 0.2  # a little more than by default: the images are many
     assert fitted().effective_images == len(simulated()[1])
@@ -38,14 +38,14 @@ def test_regions_of_single_images_hold_as_many_true_poses_as_they_say_but_for_ou
 
 
 def test_what_changed_is_told_with_its_gain():
-    image, lasting = fitted().changes
-    names = ("radius_m", "spread", "floor", "tail", "outlier_probability", "unfamiliar_power")
+    image, correlated = fitted().changes
+    names = ("radius_m", "spread", "noise_floor", "degrees_of_freedom", "outlier_probability", "ood_power")
     assert image.after == {name: getattr(fitted().errors, name) for name in names}
-    assert image.before["tail"] == ErrorModel().tail
+    assert image.before["degrees_of_freedom"] == MeasurementNoise().degrees_of_freedom
     assert image.gain is not None
     assert image.gain > 0.5
-    assert (set(lasting.after), lasting.gain) == (
-        {"lasting_fraction", "length_m", "length_rad", "mistaken_lengths"},
+    assert (set(correlated.after), correlated.gain) == (
+        {"correlated_fraction", "length_m", "length_rad", "outlier_lengths"},
         None,
     )
     again = fit(*simulated(100), before=fitted(100).errors).changes[0]
@@ -59,14 +59,14 @@ def test_the_fit_is_the_same_in_a_scene_thirty_times_as_large():
     for name in (
         "radius_m",
         "spread",
-        "tail",
+        "degrees_of_freedom",
         "outlier_probability",
         "length_m",
-        "lasting_fraction",
-        "flat_log_density",
+        "correlated_fraction",
+        "log_clutter_density",
     ):
         assert getattr(found, name) == pytest.approx(getattr(expected, name), rel=0.02), name
-    np.testing.assert_allclose(found.floor, expected.floor, rtol=0.02)
+    np.testing.assert_allclose(found.noise_floor, expected.noise_floor, rtol=0.02)
     np.testing.assert_allclose(found.typical_std, expected.typical_std, rtol=0.02)
 
 
@@ -77,12 +77,12 @@ def test_a_posterior_that_cannot_decide_between_two_places_is_measured_by_the_ri
     half = len(samples[0]) // 2
     both = [Poses.concatenate([poses[:half], (elsewhere @ poses)[half:]]) for poses in samples]
     found = fit(both, truth)
-    np.testing.assert_allclose(found.errors.floor, fitted().errors.floor, rtol=0.2)
+    np.testing.assert_allclose(found.errors.noise_floor, fitted().errors.noise_floor, rtol=0.2)
     assert found.errors.outlier_probability == pytest.approx(TRUE.outlier_probability, abs=0.05)
     np.testing.assert_allclose(found.coverage, fitted().coverage, atol=0.04)
 
 
-# --- errors that grow with how unfamiliar an image is ----------------------------------------------
+# --- errors that grow with the score of an image ----------------------------------------------
 
 
 @cache
@@ -97,15 +97,15 @@ def graded(power: float, count: int = 240):
     seen = []
     for scores in (score, of_trained):
         truth = anywhere(len(scores), rng=rng)
-        normal = student(len(scores), TRUE.tail, rng=rng) * ((scores / 0.5) ** power)[:, None]
+        normal = student(len(scores), TRUE.degrees_of_freedom, rng=rng) * ((scores / 0.5) ** power)[:, None]
         seen.append(Observations(posteriors(truth, TRUE, normal, rng=rng, num_samples=40), truth, scores))
     return seen
 
 
-AT_A_HALF = np.hypot(0.06 * UNIT * np.sqrt(TRUE.spread), TRUE.floor)
+AT_A_HALF = np.hypot(0.06 * UNIT * np.sqrt(TRUE.spread), TRUE.noise_floor)
 
 
-def fit_graded(power: float, trained: bool = True, before: ErrorModel | None = None) -> ErrorModel:
+def fit_graded(power: float, trained: bool = True, before: MeasurementNoise | None = None) -> MeasurementNoise:
     held_out, trained_on = graded(power)
     return fit(
         held_out.samples,
@@ -119,34 +119,34 @@ def fit_graded(power: float, trained: bool = True, before: ErrorModel | None = N
 @pytest.mark.usefixtures("widest_places")
 def test_errors_that_grow_with_the_score_are_found_to_with_their_size_at_its_median():
     errors = fit_graded(1.0)
-    assert errors.unfamiliar_power == pytest.approx(1.0, abs=0.25)
-    assert errors.unfamiliar_score == pytest.approx(np.median(graded(1.0)[0].score))
+    assert errors.ood_power == pytest.approx(1.0, abs=0.25)
+    assert errors.typical_ood_score == pytest.approx(np.median(graded(1.0)[0].score))
     np.testing.assert_allclose(errors.typical_std, AT_A_HALF, rtol=0.25)
 
 
 @pytest.mark.usefixtures("widest_places")
 def test_errors_that_do_not_depend_on_the_score_do_not_grow():
-    assert fit_graded(0.0).unfamiliar_power <= 0.125
+    assert fit_graded(0.0).ood_power <= 0.125
 
 
 @pytest.mark.usefixtures("widest_places")
 def test_without_images_trained_on_the_power_stays_and_the_errors_follow_it():
-    before = replace(default_errors(graded(1.0)[0].truth), unfamiliar_power=1.0, unfamiliar_score=0.25)
+    before = replace(default_errors(graded(1.0)[0].truth), ood_power=1.0, typical_ood_score=0.25)
     errors = fit_graded(1.0, trained=False, before=before)
-    assert (errors.unfamiliar_power, errors.unfamiliar_score) == (1.0, 0.25)
+    assert (errors.ood_power, errors.typical_ood_score) == (1.0, 0.25)
     np.testing.assert_allclose(errors.typical_std, 0.5 * AT_A_HALF, rtol=0.25)
 
 
 @pytest.mark.usefixtures("widest_places")
 def test_where_nobody_knows_how_unfamiliar_images_are_nothing_grows():
     held_out, trained = (replace(seen, score=None) for seen in graded(0.0))
-    assert fit(held_out.samples, held_out.truth, trained=trained).errors.unfamiliar_power == 0.0
+    assert fit(held_out.samples, held_out.truth, trained=trained).errors.ood_power == 0.0
 
 
 # --- little, flat and bad data ---------------------------------------------------------------------
 
 
-def usable(errors: ErrorModel, samples) -> bool:
+def usable(errors: MeasurementNoise, samples) -> bool:
     posterior = PosePosterior.from_samples(samples, errors)
     return bool(np.isfinite(posterior.covariances).all()) and len(posterior.weights) > 0
 
@@ -154,13 +154,13 @@ def usable(errors: ErrorModel, samples) -> bool:
 def test_sixty_images_of_one_pass_are_worth_few_and_the_fit_is_cautious():
     rng = np.random.default_rng(3)
     truth = walk(60, 0.05, rng=rng)
-    errors = replace(TRUE, outlier_probability=1e-9, floor=(0.05, 0.2, 0.05, 0.02, 0.02, 0.02))
+    errors = replace(TRUE, outlier_probability=1e-9, noise_floor=(0.05, 0.2, 0.05, 0.02, 0.02, 0.02))
     samples = posteriors(truth, errors, np.tile(rng.standard_normal(6), (60, 1)), rng=rng)
     scene = Poses.concatenate([truth, anywhere(100, rng=rng)])
     travel = Travel.along(truth, np.zeros(60, np.int64))
     found = fit_errors(Observations(samples, truth), travel, scene, default_errors(scene))
     assert found.effective_images < 10
-    lengths, angles = np.array(found.errors.floor[:3]), np.array(found.errors.floor[3:])
+    lengths, angles = np.array(found.errors.noise_floor[:3]), np.array(found.errors.noise_floor[3:])
     assert lengths.max() < 3 * lengths.min()
     assert angles.max() < 3 * angles.min()
     assert usable(found.errors, samples[0])
@@ -188,7 +188,7 @@ def test_cameras_that_move_in_a_plane_get_positive_covariances(num_samples):
     samples = [offsets[i] @ Poses.exp(rng.standard_normal((num_samples, 6)) * flat) for i in range(80)]
     found = fit(samples, truth).errors
     assert usable(found, samples[0])
-    assert 0.0 < found.floor[2] < 0.2
+    assert 0.0 < found.noise_floor[2] < 0.2
     assert 0.05 < found.typical_std[0] < 0.3
 
 

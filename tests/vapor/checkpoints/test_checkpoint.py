@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import torch
 
-from filtering.error_model import ErrorModel
+from filtering.measurement_noise import MeasurementNoise
 from filtering.se3 import Poses
 from sequences.frame import Camera
 from sequences.odometry_fit.result import OdometryFit
@@ -85,6 +85,10 @@ def _edit_errors(metadata, change):
     return _edit_config(metadata, lambda config: change(config["calibration"]["errors"]))
 
 
+def _errors(edit):
+    return lambda t, m: (t, _edit_errors(m, edit))
+
+
 def _set(part, **values):
     return lambda t, m: (t, _edit_config(m, lambda c: c[part].update(values)))
 
@@ -101,7 +105,7 @@ HEAD = "network.latent_mean.weight"
 MALFORMED = {
     "no metadata": (lambda t, m: (t, {}), "format is None"),
     "another format": (lambda t, m: (t, {**m, "format": "other"}), "format is 'other'"),
-    "another version": (lambda t, m: (t, {**m, "version": "1"}), "version is '1', expected '10'; train the model a"),
+    "another version": (lambda t, m: (t, {**m, "version": "1"}), "version is '1', expected '11'; train the model a"),
     "no configuration": (lambda t, m: (t, _without(m, "config")), "expected a JSON object"),
     "configuration that is no JSON": (lambda t, m: (t, {**m, "config": "{"}), "expected JSON"),
     "missing tensor": (lambda t, m: (_without(t, HEAD), m), f"lacks tensor {HEAD}"),
@@ -118,13 +122,13 @@ MALFORMED = {
     ),
     "missing errors": (_lacking("calibration", "errors"), r"lacks \['errors"),
     "errors that are none": (_set("calibration", errors=[1.0]), "calibration.errors config"),
-    "missing part of errors": (lambda t, m: (t, _edit_errors(m, lambda e: e.pop("tail"))), r"lacks \['tail'\]"),
-    "surplus part of errors": (lambda t, m: (t, _edit_errors(m, lambda e: e.update(a=1))), r"surplus \['a'\]"),
-    "tail that is no number": (lambda t, m: (t, _edit_errors(m, lambda e: e.update(tail="6"))), "tail '6', expect"),
-    "tail of NaN": (lambda t, m: (t, _edit_errors(m, lambda e: e.update(tail=float("nan")))), "tail is nan"),
-    "floor of five": (lambda t, m: (t, _edit_errors(m, lambda e: e.update(floor=[0.1] * 5))), "expected six num"),
-    "floor of words": (lambda t, m: (t, _edit_errors(m, lambda e: e.update(floor=["a"] * 6))), "expected six numbers"),
-    "floor of zeros": (lambda t, m: (t, _edit_errors(m, lambda e: e.update(floor=[0.0] * 6))), "six positive numbers"),
+    "missing part of errors": (_errors(lambda e: e.pop("spread")), r"lacks \['spread'\]"),
+    "surplus part of errors": (_errors(lambda e: e.update(a=1)), r"surplus \['a'\]"),
+    "number that is a word": (_errors(lambda e: e.update(degrees_of_freedom="6")), "degrees_of_freedom '6', expect"),
+    "number that is NaN": (_errors(lambda e: e.update(degrees_of_freedom=float("nan"))), "degrees_of_freedom is nan"),
+    "noise_floor of five": (_errors(lambda e: e.update(noise_floor=[0.1] * 5)), "expected six num"),
+    "noise_floor of words": (_errors(lambda e: e.update(noise_floor=["a"] * 6)), "expected six numbers"),
+    "noise_floor of zeros": (_errors(lambda e: e.update(noise_floor=[0.0] * 6)), "six positive numbers"),
     "no word of odometry": (_lacking("calibration", "odometry"), r"lacks \['odometry'\]"),
     "odometry that is none": (_set("calibration", odometry=3), "calibration.odometry is 3"),
     "part of a fit of odometry": (
@@ -176,8 +180,8 @@ def test_errors_of_an_uncalibrated_model_are_in_proportion_to_the_scene():
     small, large = default_errors(poses), default_errors(Poses(poses.rotation, 30.0 * poses.translation))
     expected = small.scaled(30.0)
     assert large.length_m == pytest.approx(expected.length_m)
-    assert large.flat_log_density == pytest.approx(expected.flat_log_density)
-    np.testing.assert_allclose([large.floor, large.typical_std], [expected.floor, expected.typical_std])
+    assert large.log_clutter_density == pytest.approx(expected.log_clutter_density)
+    np.testing.assert_allclose([large.noise_floor, large.typical_std], [expected.noise_floor, expected.typical_std])
     assert 0.1 < small.radius_m < 1.0  # of about nine metres
     assert default_errors(Poses.identity(5)).radius_m > 0  # a camera that only turns, or stands
 
@@ -231,13 +235,13 @@ def made_up():
             shown=rng.integers(0, 30, 20).astype(np.int32),
             **floats,
         ),
-        Verification(gain=30.0, nothing=0.2),
+        Verification(gain=30.0, clutter=0.2),
     )
 
 
 def saved(path):
     checkpoint = make_checkpoint()
-    errors = replace(checkpoint.calibration.errors, verified=ErrorModel(tail=4.0))
+    errors = replace(checkpoint.calibration.errors, verified=MeasurementNoise(degrees_of_freedom=4.0))
     calibration = replace(checkpoint.calibration, errors=errors)
     checkpoint = replace(checkpoint, calibration=calibration, landmarks=made_up())
     save_checkpoint(path, checkpoint)
@@ -285,8 +289,11 @@ def test_landmarks_come_back_as_they_were(tmp_path):
         (_set("landmarks", k1="x"), "landmarks configuration has k1 'x'"),
         (lambda t, m: (t, _edit_config(m, lambda c: c["landmarks"]["verification"].update(gain=0.0))), "gain is 0.0"),
         (
-            lambda t, m: (t, _edit_config(m, lambda c: c["calibration"]["errors"]["verified"].update(tail=0.1))),
-            "errors.verified .*tail is 0.1",
+            lambda t, m: (
+                t,
+                _edit_config(m, lambda c: c["calibration"]["errors"]["verified"].update(degrees_of_freedom=0.1)),
+            ),
+            "errors.verified .*degrees_of_freedom is 0.1",
         ),
     ],
 )

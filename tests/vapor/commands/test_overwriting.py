@@ -14,7 +14,7 @@ from tests.helpers.tiny_model import SMALL
 
 OUTPUTS = {
     "run": ["run", "walk.mcap", "--model", "m.safetensors", "--output"],
-    "a fleet": ["run", "walk.mcap", "gone.mcap", "--model", "m.safetensors", "--output"],
+    "a batch": ["run", "walk.mcap", "gone.mcap", "--model", "m.safetensors", "--output"],
     "fuse": ["fuse", "truth.tum", "--simulate-odometry", "truth.tum", "--output"],
     "demo": ["demo", "--output"],
     "inspect": ["inspect", "walk.mcap", "--output"],
@@ -137,7 +137,7 @@ READ = {
     "other truth": (["evaluate", "earlier", "--ground-truth", "truth.tum", "--output"], ["truth.tum"]),
     "run": (["run", "walk.mcap", "--model", "config.json", "--output"], ["."]),
     "run's poses": ([*OUTPUTS["run"][:-1], "--poses", "mine/ground_truth.tum", "--output"], ["mine"]),
-    "a fleet": (["run", "walk.mcap", "walk/estimate.mcap", "--model", "m.safetensors", "--output"], ["."]),
+    "a batch": (["run", "walk.mcap", "walk/estimate.mcap", "--model", "m.safetensors", "--output"], ["."]),
     "fuse": (["fuse", "trajectory.tum", "--simulate-odometry", "truth.tum", "--output"], ["."]),
     "inspect": (["inspect", "data", "--output"], ["data", "data/seq-01"]),
     "inspect's model": (["inspect", "data", "--model", "report.json", "--output"], ["."]),

@@ -9,7 +9,7 @@ from vapor.checkpoints import file_format
 
 def test_a_model_of_another_version_is_refused(walk_of_25, tiny_model, earlier, capsys):
     model = altered(tiny_model, earlier.parent / "other.safetensors", lambda t, m: m.update(version="1"))
-    refuse_run(walk_of_25, model, earlier, capsys, model, "format version is '1', expected '10'; train the model again")
+    refuse_run(walk_of_25, model, earlier, capsys, model, "format version is '1', expected '11'; train the model again")
 
 
 @pytest.mark.parametrize("content", [b"", b"no model", b"\x80\x04pickled" * 100])

@@ -23,7 +23,7 @@ from tests.helpers.simulated_run import simulated_steps
 from vapor.benchmark.commands.cells import new_table
 from vapor.commands import console
 from vapor.commands.terminal import Signals, say
-from vapor.pipeline.fleet import Outcome, format_fleet
+from vapor.pipeline.batch import Outcome, format_batch
 from vapor.reporting.report import format_table
 from vapor.tracking.methods import METHODS
 
@@ -324,8 +324,8 @@ OUTCOMES = [
 ]
 TABLES = {
     "run": lambda: format_table(RUNS, title="a-walk-of-a-long-name.mcap"),
-    "fuse": lambda: format_table(RUNS, title="poses.txt", tail=True),
-    "fleet": lambda: format_fleet(OUTCOMES),
+    "fuse": lambda: format_table(RUNS, title="poses.txt", large_errors=True),
+    "batch": lambda: format_batch(OUTCOMES),
     "benchmark": lambda: new_table("a title", "method", *(f"heading\n{i} m" for i in range(8))),
 }
 

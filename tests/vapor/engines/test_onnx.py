@@ -69,7 +69,7 @@ def test_an_exported_model_says_all_of_itself_but_its_weights(exported):
     assert (told.training, told.file) == ({"seed": 3}, file)
     np.testing.assert_array_equal(told.prior_poses.as_matrix(), own.prior_poses.as_matrix())
     np.testing.assert_array_equal(told.memory_poses.as_matrix(), own.memory_poses.as_matrix())
-    np.testing.assert_allclose(told.familiarity.exemplars, own.familiarity.exemplars, atol=1e-3)
+    np.testing.assert_allclose(told.ood_model.exemplars, own.ood_model.exemplars, atol=1e-3)
     assert is_exported(file)
 
 
@@ -117,7 +117,7 @@ def test_an_export_that_is_cut_off_anywhere_is_refused(small):
         refused(small)
 
 
-FOREIGN = helper.make_model(
+OUT_OF_DISTRIBUTION = helper.make_model(
     helper.make_graph(
         [helper.make_node("Identity", ["image"], ["out"])],
         "foreign",
@@ -130,8 +130,8 @@ FOREIGN = helper.make_model(
 @pytest.mark.parametrize(
     "content",
     [
-        FOREIGN,
-        put_together(FOREIGN, [(b"author", b"another"), (b"vapor-track config", b"{}")]),
+        OUT_OF_DISTRIBUTION,
+        put_together(OUT_OF_DISTRIBUTION, [(b"author", b"another"), (b"vapor-track config", b"{}")]),
         put_together(GRAPH_BYTES, [(b"vapor-track arrays", b"no base64"), (b"vapor-track graph_sha256", b"")]),
         b"\xff" * 10**6,
         b"\x3a" + b"\x80" * 10 + b"\x01",
@@ -256,7 +256,7 @@ def graph_of(image: list, noise: list, outputs: tuple[str, ...], operator: str =
     ids=["unknown operator", "no graph", "one output", "other image", "much noise"],
 )
 def test_another_network_whose_digest_fits_is_not_run(graph, said, here):
-    told = describe_onnx(write_export(Path("m.onnx"), any_checkpoint(familiar=False).description, graph))
+    told = describe_onnx(write_export(Path("m.onnx"), any_checkpoint(in_distribution=False).description, graph))
     with pytest.raises(CheckpointError) as found:
         start_engine(told)
     assert said in str(found.value)
@@ -314,12 +314,12 @@ def test_an_exported_model_runs_by_openvino_only(exported):
         start_engine(told, EngineConfig("torch"))
 
 
-def test_what_has_no_familiarity_gives_poses_alone(tmp_path):
-    checkpoint = any_checkpoint("point", familiar=False)
+def test_what_has_no_ood_model_gives_poses_alone(tmp_path):
+    checkpoint = any_checkpoint("point", in_distribution=False)
     export_onnx(checkpoint, tmp_path / "m.onnx")
     session = onnxruntime.InferenceSession(str(tmp_path / "m.onnx"))
     assert [each.name for each in session.get_outputs()] == ["translation", "rotation"]
-    assert describe_onnx(tmp_path / "m.onnx").familiarity is None
+    assert describe_onnx(tmp_path / "m.onnx").ood_model is None
 
 
 @pytest.mark.usefixtures("written_before")

@@ -80,7 +80,7 @@ def test_auto_takes_what_was_faster_when_the_network_was_compiled(model: Path) -
     described = describe(model)
     variant = Variant(
         described.network_sha256,
-        described.familiarity is not None,
+        described.ood_model is not None,
         "float32",
         openvino_engine.processor(),
         openvino_engine.version(),

@@ -65,9 +65,9 @@ def test_a_belief_is_evaluated_by_its_best_mode_where_it_says_converged():
     status = ["ambiguous"] * 10 + ["converged"] * 28 + ["lost"] * 2
     found = evaluate_belief(Belief(modes, status), S // 10 * np.arange(n), truth, converged_at_s=2.2, kidnap_index=None)
     assert found["status"] == {"converged": 0.7, "ambiguous": 0.25, "lost": 0.05}
-    assert found["said_converged"]["images"] == 28
-    assert found["said_converged"]["wrong"] == pytest.approx(2 / 28)
-    assert found["said_converged"]["coverage"]["95%"] == pytest.approx(26 / 28)
+    assert found["converged_images"]["images"] == 28
+    assert found["converged_images"]["wrong"] == pytest.approx(2 / 28)
+    assert found["converged_images"]["coverage"]["95%"] == pytest.approx(26 / 28)
     assert found["after_convergence"]["images"] == 18
     assert found["after_convergence"]["wrong"] == 0.0
     assert found["after_convergence"]["median_nees"] == pytest.approx(1.0, rel=1e-6)

@@ -1,37 +1,38 @@
-"""What recordings show: by which of them, on which floors, how often and looking which way."""
+"""What recordings show: by which of them, on which storeys, how often and looking which way."""
 
 import numpy as np
 import pytest
 
-from filtering.floors import find_floors
 from filtering.se3 import Poses
+from filtering.storeys import find_storeys
 from tests.helpers.corridors import corridor, recorded, stairwell
 from vapor.inspection.coverage import Coverage, Plan
 from vapor.training.holding_out import shown_by
 
 
-def test_a_floor_that_one_walk_alone_shows_is_said_with_its_images_and_height():
+def test_a_storey_that_one_walk_alone_shows_is_said_with_its_images_and_height():
     coverage = Coverage.of(stairwell(top=(4,)))
     (segment,) = coverage.alone()
     assert str(segment) == "walk4: images 300 to 399 (height 9.0 m)"
-    assert [floor.names for floor in coverage.floors()][-1] == ("walk4",)
-    assert len(coverage.floors()) == 4
+    assert [storey.names for storey in coverage.storeys()][-1] == ("walk4",)
+    assert len(coverage.storeys()) == 4
     np.testing.assert_array_equal(coverage.others == 0, coverage.images.poses.translation[:, 2] > 8.9)
 
 
-def test_a_top_floor_where_all_walks_end_is_told_with_who_shows_it_and_how_late():
+def test_a_top_storey_where_all_walks_end_is_told_with_who_shows_it_and_how_late():
     walks = [
         Poses.concatenate(
-            [corridor(0, 10, y_m=0.1 * i, z_m=3.0 * floor) for floor in range(3)] + [corridor(0, 3, y_m=0.1 * i, z_m=9)]
+            [corridor(0, 10, y_m=0.1 * i, z_m=3.0 * storey) for storey in range(3)]
+            + [corridor(0, 3, y_m=0.1 * i, z_m=9)]
         )
         for i in range(5)
     ]
     coverage = Coverage.of(recorded(*walks))
     assert coverage.alone() == []
-    top = coverage.floors()[-1]
+    top = coverage.storeys()[-1]
     assert (len(top.names), top.trained, top.images) == (5, 4, 150)
     assert top.late == pytest.approx(30 / 330)
-    assert (coverage.split.held_out_mask & (coverage.floor == 3)).sum() == 30
+    assert (coverage.split.held_out_mask & (coverage.storey == 3)).sum() == 30
 
 
 def test_what_is_shown_is_what_holding_out_calls_so():
@@ -74,11 +75,11 @@ def test_up_is_where_cameras_are_upright(rotation, names, looking):
     assert {plan.direction(sector) for sector in plan.sectors(turned).tolist()} == {looking}
 
 
-def test_floors_are_found_where_places_lie_above_each_other():
+def test_storeys_are_found_where_places_lie_above_each_other():
     x = np.linspace(0.0, 10.0, 101)
     cells = np.concatenate([np.floor(x), np.floor(x)]).astype(np.int64)
-    floor, count = find_floors(np.concatenate([0 * x, 0 * x + 3.0]), cells)
+    storey, count = find_storeys(np.concatenate([0 * x, 0 * x + 3.0]), cells)
     assert count == 2
-    np.testing.assert_array_equal(floor, np.repeat([0, 1], 101))
-    assert find_floors(0.5 * np.concatenate([x, x]), cells)[1] == 1  # a ramp
-    assert find_floors(np.concatenate([0 * x, 0 * x + 0.8]), cells)[1] == 1  # a camera held higher
+    np.testing.assert_array_equal(storey, np.repeat([0, 1], 101))
+    assert find_storeys(0.5 * np.concatenate([x, x]), cells)[1] == 1  # a ramp
+    assert find_storeys(np.concatenate([0 * x, 0 * x + 0.8]), cells)[1] == 1  # a camera held higher

@@ -42,7 +42,7 @@ def _checked(room, poses, *, stated, image=None):
 def test_intrinsics_that_are_right_are_not_doubted(room):
     found = _checked(room, walk(40), stated=CAMERA)
     assert not found.disagrees
-    assert found.said.startswith("200 px stated, ")
+    assert found.in_words.startswith("200 px stated, ")
     assert found.fit.apart_px < 0.5
     assert found.found.fx == pytest.approx(CAMERA.fx, rel=0.02)
 
@@ -83,7 +83,7 @@ def test_what_tells_nothing_of_a_camera_is_no_failure(room):
     ):
         assert found.fit is None
         assert not found.disagrees
-        assert found.said.startswith(f"nothing can be said: {why}")
+        assert found.in_words.startswith(f"unknown: {why}")
         assert set(found.as_json()) == {"images", "unknown"}
 
 
@@ -108,6 +108,6 @@ def test_where_none_are_stated_of_most_images_those_that_fit_these_are_said(room
     found = views.check()
     assert (found.images, found.of_all) == (32, False)
     assert found.found.fx == pytest.approx(CAMERA.fx, rel=0.02)
-    assert found.said.startswith("no focal length is stated, ")
+    assert found.in_words.startswith("no focal length is stated, ")
     assert not found.disagrees
     assert found.as_json()["stated"] is None

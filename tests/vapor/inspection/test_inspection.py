@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from filtering.error_model import ErrorModel
+from filtering.measurement_noise import MeasurementNoise
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from sequences.reading.counts import OUTSIDE
@@ -164,7 +164,7 @@ class Mistaken:
         pose = self._poses[self._next]
         off = np.array([2.0, 0.0, 0.0]) * (self._next in self._wrong)
         self._next += 1
-        return PosePosterior.from_samples(Poses(pose.rotation[None], pose.translation[None] + off), ErrorModel())
+        return PosePosterior.from_samples(Poses(pose.rotation[None], pose.translation[None] + off), MeasurementNoise())
 
 
 def test_where_a_model_errs_is_said_with_place_direction_and_passes(tmp_path):
@@ -178,10 +178,10 @@ def test_where_a_model_errs_is_said_with_place_direction_and_passes(tmp_path):
     assert "of one pass only" in sentence
     x = float(sentence.split("near (")[1].split(",")[0])
     assert 4.0 <= x <= 5.0
-    foreign = replace(found.predictions, unfamiliarity=np.full(120, 2.0))
-    said = verdict(found.walks, found.coverage, None, (), foreign)
+    unlike = replace(found.predictions, ood_score=np.full(120, 2.0))
+    said = verdict(found.walks, found.coverage, None, (), unlike)
     assert said[-1] == "train on more of this: 100 % of the images look unlike all that the model was trained on"
-    said = verdict(found.walks, found.coverage, None, (), replace(foreign, why_foreign="they are dark"))
+    said = verdict(found.walks, found.coverage, None, (), replace(unlike, why_out_of_distribution="they are dark"))
     assert said[-1] == "100 % of the images look unlike all that the model was trained on: they are dark"
 
 

@@ -68,7 +68,7 @@ def beyond(found, views, truth):
     for number, pose in first_poses(found, views):
         away = pose.world_from_camera.between(truth[number]).log()
         squared = away @ np.linalg.solve(errors.covariance(pose.covariance[None])[0], away)
-        outside.append(squared > 6.0 * fisher.ppf(0.99, 6, errors.tail))
+        outside.append(squared > 6.0 * fisher.ppf(0.99, 6, errors.degrees_of_freedom))
     return float(np.mean(outside)) if outside else 0.0
 
 
@@ -154,7 +154,7 @@ def test_poses_that_each_err_by_10_degrees_give_no_landmarks(views):
     found, notes = found_in(views, off_by(POSES, radians=np.deg2rad(10.0)), choice="auto")
     assert found is None
     assert len(notes) == 1  # nothing of a camera, which cannot be found by such poses
-    assert "hardly any point is seen where the poses say that it must be" in notes[0]
+    assert "hardly any point is seen where it must be by the poses" in notes[0]
 
 
 def no_map(views, poses):

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from filtering.error_model import ErrorModel
+from filtering.measurement_noise import MeasurementNoise
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from sequences.writer import SequenceWriter
@@ -22,8 +22,8 @@ from vapor.pipeline.model import load_model
 from vapor.pipeline.run import VerifiedImages, run
 from vapor.reporting.html.run_page import landmark_caption, landmark_picture
 
-SHARP = ErrorModel(floor=(0.01,) * 3 + (0.003,) * 3, typical_std=(0.01,) * 3 + (0.003,) * 3)
-SOMEWHERE = PosePosterior.from_estimates(Poses.identity(1), 0.3, 0.1, ErrorModel())
+SHARP = MeasurementNoise(noise_floor=(0.01,) * 3 + (0.003,) * 3, typical_std=(0.01,) * 3 + (0.003,) * 3)
+SOMEWHERE = PosePosterior.from_estimates(Poses.identity(1), 0.3, 0.1, MeasurementNoise())
 
 
 @pytest.mark.parametrize("k1", [0.0, -0.1])

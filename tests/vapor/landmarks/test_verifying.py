@@ -5,21 +5,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from filtering.error_model import ErrorModel
 from filtering.mapped_views import MOST_ELSEWHERE
+from filtering.measurement_noise import MeasurementNoise
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from tests.helpers.textured_room import CAMERA, Room, walk
 from vapor.calibration.verification import SeenPlaces, evidence, fit_reach, fit_verification, none_right
-from vapor.calibration.verified_errors import LeftOut, fit_verified_errors, leave_out
+from vapor.calibration.verified_errors import LeaveOut, fit_verified_errors, leave_out
 from vapor.landmarks.build import build
 from vapor.landmarks.features import Features, restored
 from vapor.landmarks.landmark_map import ViewCamera
 from vapor.landmarks.localize import LandmarkLocalizer, VerifiedPose, query_features
 from vapor.landmarks.verify import Landmarks, LandmarkVerifier, Verification, grey_view, verified
 
-SHARP = ErrorModel(floor=(0.01,) * 3 + (0.003,) * 3, typical_std=(0.01,) * 3 + (0.003,) * 3)
-ERRORS = ErrorModel(floor=(0.3,) * 3 + (0.1,) * 3, typical_std=(0.3,) * 3 + (0.1,) * 3, verified=SHARP)
+SHARP = MeasurementNoise(noise_floor=(0.01,) * 3 + (0.003,) * 3, typical_std=(0.01,) * 3 + (0.003,) * 3)
+ERRORS = MeasurementNoise(noise_floor=(0.3,) * 3 + (0.1,) * 3, typical_std=(0.3,) * 3 + (0.1,) * 3, verified=SHARP)
 POSE = walk(8, seed=5)[3]
 
 
@@ -96,9 +96,9 @@ def test_a_verified_place_that_the_network_did_not_propose_is_added():
 
 
 def test_landmarks_of_the_place_say_that_an_image_is_not_foreign():
-    network = replace(coarse(0.0), unfamiliarity=3.0)
-    assert network.is_foreign
-    assert not verified(network, [found_at(0.0)], Verification()).is_foreign
+    network = replace(coarse(0.0), ood_score=3.0)
+    assert network.is_out_of_distribution
+    assert not verified(network, [found_at(0.0)], Verification()).is_out_of_distribution
     assert verified(network, [], Verification()) is network
 
 
@@ -125,7 +125,7 @@ def test_regions_hold_the_left_out_images_though_most_are_exact_and_some_are_far
     away = 0.001 * rng.standard_normal((100, 6))
     away[::3] += rng.uniform(-0.5, 0.5, (34, 6)) * np.repeat([1.0, 0.2], 3)
     found = tuple((replace(found_at(0.0), world_from_camera=poses[i] @ Poses.exp(away[i])),) for i in range(100))
-    left_out = LeftOut(np.arange(100), found, poses, np.zeros(100), 2.0)
+    left_out = LeaveOut(np.arange(100), found, poses, np.zeros(100), 2.0)
     errors = fit_verified_errors(left_out, poses, np.zeros(100, int), -6.0)
     assert len(left_out.right) == 100
     assert errors.coverage[1] >= 0.9
@@ -156,7 +156,7 @@ def test_where_landmarks_reach_is_found_on_images_at_all_distances():
     def left_out(every):
         alike = [(found_at(20.0),) if every and i % every == 0 else () for i in range(400)]
         found = tuple((found_at(0.0), *alike[i]) if distance[i] < 0.8 else alike[i] for i in range(400))
-        return LeftOut(np.arange(400), found, truth, distance, 2.0)
+        return LeaveOut(np.arange(400), found, truth, distance, 2.0)
 
     alike, more, alone = (fit_reach(left_out(every), 400.0) for every in (5, 2, 0))
     assert alike.reach == alone.reach == pytest.approx(0.8, rel=0.1)
@@ -164,7 +164,7 @@ def test_where_landmarks_reach_is_found_on_images_at_all_distances():
     assert more.elsewhere == MOST_ELSEWHERE
     assert alone.elsewhere < 0.01
     assert fit_reach(left_out(2), 1.0).elsewhere < 0.15  # one image's worth says little
-    none = fit_reach(LeftOut(np.arange(0), (), truth[:0], distance[:0], 2.0), 0.0)
+    none = fit_reach(LeaveOut(np.arange(0), (), truth[:0], distance[:0], 2.0), 0.0)
     assert none.reach == pytest.approx(Verification().reach, rel=0.1)
     assert none.elsewhere == Verification().elsewhere
 

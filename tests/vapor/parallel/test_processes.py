@@ -10,7 +10,7 @@ from vapor.parallel.jobs import Workers, in_parallel
 
 def test_what_a_process_that_dies_had_begun_is_begun_again(tmp_path):
     told = []
-    results = in_parallel(jobs.end_once, [(tmp_path, number) for number in range(4)], Workers(2, tell=told.append))
+    results = in_parallel(jobs.end_once, [(tmp_path, number) for number in range(4)], Workers(2, notify=told.append))
     assert sorted(results) == [0, 1, 2, 3]
     assert (tmp_path / "ended").exists()
     (line,) = told
@@ -22,7 +22,7 @@ def test_a_job_that_ends_its_process_each_time_is_given_up(monkeypatch):
     monkeypatch.setattr(jobs_module, "_TRIES", 2)
     told = []
     with pytest.raises(TerminatedWorkerError):
-        list(in_parallel(jobs.end, [(0,), (1,)], Workers(2, tell=told.append)))
+        list(in_parallel(jobs.end, [(0,), (1,)], Workers(2, notify=told.append)))
     assert len(told) == 1
 
 

@@ -175,13 +175,15 @@ def test_how_estimates_err_follows_from_what_is_stated_and_where_they_are(tmp_pa
     path_of = {n: Poses(np.eye(3), np.array([0.1 * i, 0, 0])) for i, n in enumerate(names)}
     motion = file_of(tmp_path / "motion.txt", path_of)  # 0.1 m in a thirtieth of a second
     sequence = EstimateSequence([path], odometry=motion, options=BACK)
-    trust = EstimateConfig(std_m=(0.1,), std_deg=(5.0,), tail=3.0, outlier_probability=0.2, independent_after_s=0.5)
+    trust = EstimateConfig(
+        std_m=(0.1,), std_deg=(5.0,), degrees_of_freedom=3.0, outlier_probability=0.2, independent_after_s=0.5
+    )
     errors = errors_of(sequence, trust)
     margin = 0.2 * np.sqrt(3**2 + 2**2 + 1)
     volume = np.prod(np.array([3, 2, 1]) + margin) * 8 * np.pi**2
-    assert errors.flat_log_density == pytest.approx(-np.log(volume), rel=0.01)
+    assert errors.log_clutter_density == pytest.approx(-np.log(volume), rel=0.01)
     assert errors.typical_std == pytest.approx([0.1] * 3 + [np.radians(5.0)] * 3)
-    assert (errors.tail, errors.outlier_probability, errors.constant_fraction) == (3.0, 0.2, 0.0)
+    assert (errors.degrees_of_freedom, errors.outlier_probability, errors.constant_fraction) == (3.0, 0.2, 0.0)
     assert errors.length_m == pytest.approx(0.5 * 3.0, rel=1e-6)
     still = file_of(tmp_path / "still.txt", dict.fromkeys(names, Poses.identity()))
     assert errors_of(EstimateSequence([path], odometry=still, options=BACK), trust).length_m == 0.1
@@ -207,7 +209,7 @@ def test_the_model_leaves_out_methods_without_an_estimate_and_drives_the_filter_
         EstimateModel(3, EstimateConfig(std_m=(0.1, 0.2)), ERRORS)
     for wrong in (
         {"std_deg": (0.0,)},
-        {"tail": 0.5},
+        {"degrees_of_freedom": 0.5},
         {"outlier_weight": -1.0},
         {"outlier_probability": 1.0},
         {"independent_after_s": 0.0},
@@ -221,7 +223,7 @@ def test_estimates_that_come_twice_are_no_camera_that_froze():
     model = EstimateModel(1, EstimateConfig(), ERRORS)
     localizer = ParticleLocalizer(model, rng=np.random.default_rng(0))
     for _ in range(2):
-        assert not localizer.observe(hypotheses((0, 1.0, Poses.identity()))).says_nothing
+        assert not localizer.observe(hypotheses((0, 1.0, Poses.identity()))).is_uninformative
 
 
 # --- the command ---------------------------------------------------------------------------------------
@@ -256,7 +258,7 @@ def test_the_command_bridges_a_run_of_wrong_estimates(tmp_path, truth, capsys):
         {"name": "one.txt", "frames": 120, "hypotheses": 120},
         {"name": "two.txt", "frames": 110, "hypotheses": 110},
     ]
-    assert config["trust"]["tail"] == 4.0
+    assert config["trust"]["degrees_of_freedom"] == 4.0
     assert config["errors"]["radius_m"] == pytest.approx(0.035)
     assert config["errors"]["outlier_probability"] == 0.1
     assert len(read_tum(output / "trajectory.tum")) == 2 * FRAMES

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from filtering.config import LocalizerConfig
-from filtering.error_model import ErrorModel
 from filtering.localizer import ParticleLocalizer
+from filtering.measurement_noise import MeasurementNoise
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from sequences.synthesize import synthesize, write_synthetic
 from tests.helpers.checkout import CHECKOUT
 
-ROUGH = ErrorModel(radius_m=1.0)
+ROUGH = MeasurementNoise(radius_m=1.0)
 
 
 class UsersModel:

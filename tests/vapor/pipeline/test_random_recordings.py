@@ -39,7 +39,7 @@ class Pictured:
 
     def observe(self, image: np.ndarray, *, rng: np.random.Generator) -> PosePosterior:
         poses = self._by_picture[image.tobytes()]
-        return seen_at(poses, [1 / len(poses)] * len(poses), unfamiliarity=0.2)
+        return seen_at(poses, [1 / len(poses)] * len(poses), ood_score=0.2)
 
 
 @pytest.mark.usefixtures("unchecked", "plain_results")

@@ -15,8 +15,8 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
-from filtering.floors import Floors
 from filtering.se3 import Poses
+from filtering.storeys import Storeys
 from sequences.frame import Trajectory
 from sequences.odometry_fit.result import OdometryFit
 from sequences.reader import SequenceReader
@@ -92,7 +92,7 @@ def test_a_run_prints_its_table_and_where_things_lie_and_no_error(finished):
 def test_the_report_has_exactly_the_keys_of_its_contract(finished):
     report = report_of(finished.directory)
     about = {"frames", "frames_with_true_pose", "skipped", "images", "duration_s", "status", "particles"}
-    assert set(report) == METHODS | about | {"smoothed_doubtful", "step_ms", "peak_rss_mb", "consistency", "floors"}
+    assert set(report) == METHODS | about | {"smoothed_doubtful", "step_ms", "peak_rss_mb", "consistency", "storeys"}
     assert set(report["consistency"]) == {"images", "wrong", "coverage", "median_nees"}
     assert report["frames"] == 25
     assert report["skipped"] == {}
@@ -109,23 +109,23 @@ def test_the_report_has_exactly_the_keys_of_its_contract(finished):
     assert report["dead_reckoning"]["recall"]["0.1m/10deg"] == 1.0  # the odometry of the walk is exact
 
 
-def test_a_run_says_how_the_belief_is_spread_over_the_floors_of_its_model(
+def test_a_run_says_how_the_belief_is_spread_over_the_storeys_of_its_model(
     finished, tiny_model, walk_of_25, tmp_path, monkeypatch
 ):
-    assert report_of(finished.directory)["floors"] is None  # a network with random weights knows of none
+    assert report_of(finished.directory)["storeys"] is None  # a network with random weights knows of none
     heights = read_tum(finished.directory / "trajectory.tum").poses.translation[:, 2]
     low, high = (float(round(height, 3)) for height in (heights.min() - 2.0, heights.max() + 0.5))
-    monkeypatch.setattr(VaporObservationModel, "floors", Floors((low, high, high + 9.0)))
+    monkeypatch.setattr(VaporObservationModel, "storeys", Storeys((low, high, high + 9.0)))
     assert run(walk_of_25, tiny_model, tmp_path / "out", "--no-recording") == 0
     report = report_of(tmp_path / "out")
-    floors = report["floors"]
-    assert floors["heights_m"] == [low, high, high + 9.0]
-    assert sum(floors["belief"]) == pytest.approx(1.0, abs=1e-5)
-    assert 0.0 <= floors["true_floor"] <= 1.0
+    storeys = report["storeys"]
+    assert storeys["heights_m"] == [low, high, high + 9.0]
+    assert sum(storeys["belief"]) == pytest.approx(1.0, abs=1e-5)
+    assert 0.0 <= storeys["true_storey"] <= 1.0
     trajectory, truth = (read_tum(tmp_path / "out" / name).poses for name in ("trajectory.tum", "ground_truth.tum"))
     on = [np.abs(poses.translation[:, 2:] - [low, high, high + 9.0]).argmin(axis=1) for poses in (trajectory, truth)]
-    assert floors["accuracy"].keys() == METHODS
-    assert floors["accuracy"]["filter"] == pytest.approx(np.mean(on[0] == on[1]), abs=1e-6)
+    assert storeys["accuracy"].keys() == METHODS
+    assert storeys["accuracy"]["filter"] == pytest.approx(np.mean(on[0] == on[1]), abs=1e-6)
     assert report["filter"] == report_of(finished.directory)["filter"]
 
 

@@ -17,7 +17,7 @@ from tests.helpers.command_line import report_of
 from tests.helpers.sequence_files import BEGIN_NS, Walk, rewrite
 from tests.helpers.simulation import ERRORS, lifted, seen_at
 from tests.helpers.tiny_model import NETWORK
-from vapor.calibration.familiarity import learn_familiarity
+from vapor.calibration.ood_model import learn_ood_model
 from vapor.checkpoints.file_format import load_checkpoint
 from vapor.commands.run import show_run
 from vapor.observation import VaporObservationModel
@@ -28,23 +28,23 @@ from vapor.reporting.record import RunRecord
 from vapor.training_data.load import load_training_set
 
 
-class Floors:
-    """Says where the camera is, and from some image on the same a floor higher as well: one image after the other."""
+class Storeys:
+    """Says where the camera is, and from some image on the same a storey higher as well: one image after the other."""
 
-    def __init__(self, truth: Poses, *, alone: int, unfamiliar: range = range(0)) -> None:
-        self.truth, self.alone, self.unfamiliar = truth, alone, unfamiliar
+    def __init__(self, truth: Poses, *, alone: int, out_of_distribution: range = range(0)) -> None:
+        self.truth, self.alone, self.out_of_distribution = truth, alone, out_of_distribution
         self.count = -1
 
     def observe(self, image, *, rng):
         self.count += 1
-        floors = [0.0] if self.count < self.alone else [0.0, 6.0]
-        share = 1.0 / len(floors)
-        unfamiliarity = 3.0 if self.count in self.unfamiliar else 0.2
-        return seen_at(lifted(self.truth[self.count], floors), [share] * len(floors), unfamiliarity=unfamiliarity)
+        storeys = [0.0] if self.count < self.alone else [0.0, 6.0]
+        share = 1.0 / len(storeys)
+        ood_score = 3.0 if self.count in self.out_of_distribution else 0.2
+        return seen_at(lifted(self.truth[self.count], storeys), [share] * len(storeys), ood_score=ood_score)
 
 
-def floors_of(sequence: Path, **options) -> Floors:
-    return Floors(Poses.stack([frame.world_from_camera for frame in SequenceReader(sequence)]), **options)
+def storeys_of(sequence: Path, **options) -> Storeys:
+    return Storeys(Poses.stack([frame.world_from_camera for frame in SequenceReader(sequence)]), **options)
 
 
 def follow(sequence: Path, directory: Path, model: ObservationModel) -> RunRecord:
@@ -55,10 +55,10 @@ def follow(sequence: Path, directory: Path, model: ObservationModel) -> RunRecor
 def test_a_gap_in_the_odometry_widens_the_belief_but_does_not_forget_it(walk_of_25, tmp_path):
     begins, ends = BEGIN_NS + 1_020_000_000, BEGIN_NS + 1_780_000_000
     gappy = rewrite(walk_of_25, tmp_path / "g.mcap", keep=lambda topic, t: topic != "/odom" or not begins < t < ends)
-    record = follow(gappy, tmp_path / "out", floors_of(gappy, alone=8))
+    record = follow(gappy, tmp_path / "out", storeys_of(gappy, alone=8))
     assert record.skipped[IN_GAP] > 3
     (after,) = np.flatnonzero(np.diff(record.times_ns) > 300_000_000) + 1
-    assert 8 < after < len(record.times_ns) - 5  # two floors are possible by then, if the belief began anew
+    assert 8 < after < len(record.times_ns) - 5  # two storeys are possible by then, if the belief began anew
     std = np.sqrt(record.covariance[:, 0, 0])
     assert std[after] > 1.1 * std[after - 1]
     assert record.best_weight[after:].min() > 0.9
@@ -84,7 +84,7 @@ def test_smoothed_poses_are_doubtful_where_odometry_was_wrong(kind, tmp_path, ca
     if kind != "right":
         walk.odometry = wrong_odometry(kind, walk.odometry, begin, begin + 75)
     sequence = walk.write(tmp_path / "walk.mcap")
-    record = follow(sequence, tmp_path / "out", floors_of(sequence, alone=60))
+    record = follow(sequence, tmp_path / "out", storeys_of(sequence, alone=60))
     off_m = record.methods["smoothed"].poses.distance(record.truth.poses)[0]
     result = write_results(record, tmp_path / "out", {}, title=kind)
     with (tmp_path / "out" / "status.csv").open() as file:
@@ -104,10 +104,10 @@ def test_smoothed_poses_are_doubtful_where_odometry_was_wrong(kind, tmp_path, ca
 
 
 @pytest.mark.usefixtures("unchecked", "plain_results")
-def test_foreign_images_make_a_run_lost_and_it_recovers(tmp_path):
+def test_ood_images_make_a_run_lost_and_it_recovers(tmp_path):
     sequence = Walk(60).write(tmp_path / "walk.mcap")
-    record = follow(sequence, tmp_path / "out", floors_of(sequence, alone=60, unfamiliar=range(20, 40)))
-    assert record.unfamiliarity.tolist() == [3.0 if 20 <= i < 40 else 0.2 for i in range(60)]
+    record = follow(sequence, tmp_path / "out", storeys_of(sequence, alone=60, out_of_distribution=range(20, 40)))
+    assert record.ood_score.tolist() == [3.0 if 20 <= i < 40 else 0.2 for i in range(60)]
     assert set(record.status[10:20]) == {"converged"}
     assert record.status[39] == "lost"
     assert record.status[59] == "converged"
@@ -116,14 +116,14 @@ def test_foreign_images_make_a_run_lost_and_it_recovers(tmp_path):
 
 @dataclass(frozen=True)
 class KnowsWhatIsForeign:
-    """Posteriors of one model, with the unfamiliarity of another."""
+    """Posteriors of one model, with the ood_score of another."""
 
-    says: Floors
+    says: Storeys
     knows: VaporObservationModel
 
     def observe(self, image, *, rng):
-        unfamiliarity = self.knows.observe(image, rng=rng).unfamiliarity
-        return replace(self.says.observe(image, rng=rng), unfamiliarity=unfamiliarity)
+        ood_score = self.knows.observe(image, rng=rng).ood_score
+        return replace(self.says.observe(image, rng=rng), ood_score=ood_score)
 
 
 @pytest.mark.usefixtures("unchecked", "plain_results")
@@ -135,11 +135,11 @@ def test_black_frames_are_lost_where_the_model_knows_what_is_familiar(tiny_model
     sequence = walk.write(tmp_path / "black.mcap")
     checkpoint = load_checkpoint(tiny_model)
     images = load_training_set({"walk": list(SequenceReader(sequence))[:30] * 3}, NETWORK.frame_size)
-    knowing = replace(checkpoint, familiarity=learn_familiarity(checkpoint.build_network(), images, images))
+    knowing = replace(checkpoint, ood_model=learn_ood_model(checkpoint.build_network(), images, images))
     status = {}
     for name, known in (("knowing", knowing), ("unknowing", checkpoint)):
         model = KnowsWhatIsForeign(
-            floors_of(sequence, alone=60), VaporObservationModel(known, num_samples=1, device="cpu")
+            storeys_of(sequence, alone=60), VaporObservationModel(known, num_samples=1, device="cpu")
         )
         status[name] = follow(sequence, tmp_path / name, model).status
     assert status["knowing"][10:30] == status["unknowing"][10:30] == ("converged",) * 20

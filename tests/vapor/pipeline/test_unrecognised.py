@@ -12,7 +12,7 @@ SCENE[..., 0] += 60  # reddish
 
 
 def unlike_the_scene(image: np.ndarray, camera: object) -> float:
-    """Stands for a network to which an image is the less familiar the more it differs from one scene."""
+    """Stands for a network to which an image has the higher a score the more it differs from one scene."""
     return 0.3 + float(np.abs(image / 255.0 - SCENE / 255.0).mean()) * 10.0
 
 

@@ -43,7 +43,7 @@ def test_the_record_holds_every_image_in_order(record):
     assert record.status == tuple(estimate.status for estimate in estimates)
     assert record.num_modes.tolist() == [len(estimate.modes) for estimate in estimates]
     assert record.step_ms.tolist() == [step.step_ms for step in steps]
-    for name in ("agreement", "unfamiliarity"):
+    for name in ("agreement", "ood_score"):
         assert getattr(record, name).tolist() == [getattr(estimate, name) for estimate in estimates]
     expected = dead_reckoning(frames[0].world_from_camera, [frame.odometry for frame in frames])
     assert np.allclose(record.methods["dead_reckoning"].poses.as_matrix(), expected.as_matrix(), atol=1e-12)

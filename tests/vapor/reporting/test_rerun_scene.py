@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from filtering.floors import up_axis
 from filtering.motion import Odometry
 from filtering.se3 import Poses
+from filtering.storeys import up_axis
 from tests.helpers.simulated_run import true_walk
 from vapor.reporting.rerun_place import Place, whole_view
 from vapor.reporting.rerun_shapes import BEST, HypothesisColors, steps
@@ -52,17 +52,17 @@ def test_up_is_where_the_images_have_it_and_z_where_they_do_not_tell():
 
 def test_hypotheses_keep_their_colours_as_they_move_and_change_ranks_and_the_best_is_blue():
     colors = HypothesisColors(0.5)
-    floors = Poses(np.tile(np.eye(3), (4, 1, 1)), np.array([[0.0, 0.0, 3.0 * floor] for floor in range(4)]))
-    first = colors.of(floors, None)
+    storeys = Poses(np.tile(np.eye(3), (4, 1, 1)), np.array([[0.0, 0.0, 3.0 * storey] for storey in range(4)]))
+    first = colors.of(storeys, None)
     assert len(np.unique(first, axis=0)) == 4
     assert tuple(first[0]) == BEST
     step = Poses.exp(np.array([2.5, 0.0, 0.0, 0.0, 0.0, 0.0]))
     order = [2, 3, 0]
-    later = colors.of((floors @ step)[order], Odometry(step, np.eye(6), 0.1))
+    later = colors.of((storeys @ step)[order], Odometry(step, np.eye(6), 0.1))
     assert tuple(later[0]) == BEST
     np.testing.assert_array_equal(later[1], first[3])
     assert tuple(later[2]) not in {*map(tuple, first[1:]), BEST}  # its own, when not the best
-    again = colors.of(floors @ step @ step, Odometry(step, np.eye(6), 0.1))
+    again = colors.of(storeys @ step @ step, Odometry(step, np.eye(6), 0.1))
     np.testing.assert_array_equal(again[2:], first[2:])
 
 

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from filtering.error_model import ErrorModel
+from filtering.measurement_noise import MeasurementNoise
 from filtering.motion import Odometry
 from filtering.se3 import Poses
 from tests.helpers.simulation import seen_at
@@ -24,7 +24,7 @@ def clock(monkeypatch):
 @pytest.fixture
 def belief(unchecked):
     """One whose network is asked nothing, of a map whose views are new after half a metre."""
-    errors = ErrorModel(verified=ErrorModel(length_m=0.5, length_rad=0.5))
+    errors = MeasurementNoise(verified=MeasurementNoise(length_m=0.5, length_rad=0.5))
     description = SimpleNamespace(calibration=SimpleNamespace(errors=errors))
     model = SimpleNamespace(description=description, verifier="some", verifies=None)
     localizer = SimpleNamespace(observe=lambda image: seen_at(Poses.identity(1)), forget=lambda: None)
@@ -45,8 +45,8 @@ def seen(belief, metres):
     step = None if metres is None else Poses.exp(np.array([metres, 0.0, 0.0, 0.0, 0.0, 0.0]))
     motion = None if step is None else Odometry(step, 1e-6 * np.eye(6), 0.03)
     posterior = belief.observe(SimpleNamespace(camera=None, image=None, odometry=motion))
-    assert belief._model.verifies != posterior.says_nothing
-    return not posterior.says_nothing
+    assert belief._model.verifies != posterior.is_uninformative
+    return not posterior.is_uninformative
 
 
 def test_landmarks_are_looked_for_once_in_a_tenth_of_a_view(belief, clock):

@@ -7,8 +7,8 @@ import pytest
 
 from filtering.errors import VaporTrackError
 from filtering.estimate import Estimate, Mode
-from filtering.floors import Floors
 from filtering.se3 import Poses
+from filtering.storeys import Storeys
 from sequences.recordings.message_definitions import decoder, encoder
 from sequences.recordings.messages import covariance_to_ros
 from vapor.robot.publisher import camera_of_initial_pose, diagnostics_message, pose_message, tf_message
@@ -106,22 +106,22 @@ def test_a_transform_names_both_frames():
 
 
 @pytest.mark.parametrize("weights", [[0.1, 0.2, 0.7], [0.5, 0.4, 0.1]])
-def test_diagnostics_say_the_floor_and_how_much_of_the_belief_is_on_each(weights):
+def test_diagnostics_say_the_storey_and_how_much_of_the_belief_is_on_each(weights):
     heights = np.array([7.1, 3.9, 0.2])
     particles = Poses(np.tile(np.eye(3), (3, 1, 1)), heights[:, None] * np.eye(3)[2])
     modes = (Mode(particles[2], np.eye(6), 0.7),)
     covariances = np.tile(np.eye(6), (3, 1, 1))
     estimate = Estimate(modes, "ambiguous", particles, covariances, np.log(weights), 1.0, 0.0, 0.0, 0.0)
 
-    def told(floors: Floors | None) -> dict[str, str]:
-        message = diagnostics_message(0, hardware="m", estimate=estimate, silent=None, values={}, floors=floors)
+    def told(storeys: Storeys | None) -> dict[str, str]:
+        message = diagnostics_message(0, hardware="m", estimate=estimate, silent=None, values={}, storeys=storeys)
         (status,) = fields(message).status
-        return {each.key: each.value for each in status.values if "floor" in each.key}
+        return {each.key: each.value for each in status.values if "storey" in each.key}
 
     belief = weights[::-1]
-    assert told(Floors((0.0, 4.0, 7.0))) == {
-        "floor": str(int(np.argmax(belief))),
-        **{f"weight of floor {number}": f"{weight:.4f}" for number, weight in enumerate(belief)},
+    assert told(Storeys((0.0, 4.0, 7.0))) == {
+        "storey": str(int(np.argmax(belief))),
+        **{f"weight of storey {number}": f"{weight:.4f}" for number, weight in enumerate(belief)},
     }
     assert told(None) == {}
 

@@ -11,7 +11,16 @@ from sequences.recordings.bag import Bag
 from sequences.recordings.messages import frame_name, pose_from_message, pose_from_transform
 from sequences.trajectories.interpolation import interpolate
 from tests.helpers.full import FULL, some
-from tests.helpers.live_system import ODOMETRY, Heard, free_domain, live_command, ros_python, run_node, script_of, stamp
+from tests.helpers.live_system import (
+    ODOMETRY,
+    Received,
+    free_domain,
+    live_command,
+    ros_python,
+    run_node,
+    script_of,
+    stamp,
+)
 from vapor.pipeline.config import RunConfig
 from vapor.pipeline.run import run
 
@@ -37,7 +46,7 @@ def odometry_of(recording: Path) -> tuple[np.ndarray, Poses]:
     return times_ns, Poses.stack([pose_from_message(message.pose.pose) for message in messages])
 
 
-def every_image_is_answered_with_the_pose_that_run_gives(heard: Heard, recording: Path, folder: Path) -> None:
+def every_image_is_answered_with_the_pose_that_run_gives(heard: Received, recording: Path, folder: Path) -> None:
     run(recording, "staircase", folder / "run", RunConfig(engine="torch", recording=False))
     written = [raw.decode() for raw in Bag(folder / "run" / "estimate.mcap").messages(["/estimate/pose"])]
     expected = {stamp(message.header): pose_from_message(message.pose.pose) for message in written}
@@ -51,7 +60,7 @@ def every_image_is_answered_with_the_pose_that_run_gives(heard: Heard, recording
     assert max(radians) < 1e-6
 
 
-def the_transform_from_the_map_agrees_with_pose_and_odometry(heard: Heard, recording: Path) -> None:
+def the_transform_from_the_map_agrees_with_pose_and_odometry(heard: Received, recording: Path) -> None:
     times_ns, odom_from_base = odometry_of(recording)
     base_from_camera = SequenceReader(recording).base_from_camera
     assert base_from_camera is not None
@@ -74,7 +83,7 @@ def the_transform_from_the_map_agrees_with_pose_and_odometry(heard: Heard, recor
     assert max(apart_rad) < 1e-3
 
 
-def the_pose_of_the_base_follows_odometry_by_the_transform(heard: Heard, recording: Path) -> None:
+def the_pose_of_the_base_follows_odometry_by_the_transform(heard: Received, recording: Path) -> None:
     times_ns, odom_from_base = odometry_of(recording)
     transforms = {stamp(m.fields.transforms[0].header): m.fields.transforms[0].transform for m in heard.on("/tf")}
     poses, apart_m = heard.on("/estimate/base_pose"), []
@@ -89,7 +98,7 @@ def the_pose_of_the_base_follows_odometry_by_the_transform(heard: Heard, recordi
     assert np.median(apart_m) < 1e-6
 
 
-def diagnostics_say_how_long_an_image_takes_and_what_was_left_out(heard: Heard) -> None:
+def diagnostics_say_how_long_an_image_takes_and_what_was_left_out(heard: Received) -> None:
     last = heard.on("/diagnostics")[-1].fields.status[0]
     values = {each.key: each.value for each in last.values}
     assert int(values["images localized"]) == FRAMES
@@ -97,7 +106,7 @@ def diagnostics_say_how_long_an_image_takes_and_what_was_left_out(heard: Heard) 
     assert last.hardware_id == "staircase"
 
 
-def particles_and_modes_come_with_every_pose(heard: Heard) -> None:
+def particles_and_modes_come_with_every_pose(heard: Received) -> None:
     stamps = [stamp(each.fields.header) for each in heard.on("/estimate/pose")]
     particles = heard.on("/estimate/particles")
     assert {*stamps} <= {stamp(each.fields.header) for each in particles}

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from filtering.errors import VaporTrackError
-from filtering.floors import Floors
 from filtering.se3 import Poses
+from filtering.storeys import Storeys
 from sequences.options import ReadingOptions
 from sequences.reader import SequenceReader
 from sequences.recordings.bag import Bag
@@ -97,7 +97,7 @@ def test_the_pose_of_the_base_has_a_covariance_that_grows_until_the_next_image(w
 def test_neither_transform_nor_base_is_published_while_two_places_are_possible(walk: Path) -> None:
     model, low = KnowingModel(places=2), world_from_camera(BEGIN_NS)
     heights = [float(pose.translation[2]) for pose in (low, ELSEWHERE @ low)]
-    model.floors = Floors((heights[0], heights[1]))
+    model.storeys = Storeys((heights[0], heights[1]))
     with running(walk, model=model) as run:
         replayed(run, walk)
         assert {each.estimate.status for each in run.estimates} == {"ambiguous"}
@@ -105,8 +105,8 @@ def test_neither_transform_nor_base_is_published_while_two_places_are_possible(w
         assert run.messages("tf") == run.messages("base_pose") == []
         assert {m.status[0].level for m in run.messages("diagnostics") if m.status[0].values} <= {1, 3}
         assert len(run.messages("pose")) >= 12
-        run.wait(lambda: "floor" in run.values())
-        weights = [float(run.values()[f"weight of floor {number}"]) for number in range(2)]
+        run.wait(lambda: "storey" in run.values())
+        weights = [float(run.values()[f"weight of storey {number}"]) for number in range(2)]
         assert sum(weights) == pytest.approx(1.0, abs=2e-4)
         assert min(weights) > 0.2  # either place is as likely
 
@@ -234,7 +234,7 @@ def test_a_recording_is_never_overwritten(walk: Path, tmp_path: Path) -> None:
     assert (tmp_path / "drive.mcap").read_bytes() == b"of yesterday"
 
 
-def test_a_damaged_image_is_counted_and_told_once(walk: Path) -> None:
+def test_a_damaged_image_is_counted_andsource_topicsce(walk: Path) -> None:
     raws = messages_of(walk)
     damaged = next(raw for raw in raws if raw.topic == IMAGES)._replace(data=b"\x00\x01\x00\x00\x01")
     with running(walk) as run:

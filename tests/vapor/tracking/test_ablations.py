@@ -44,9 +44,9 @@ def test_each_ablation_changes_one_thing_and_full_nothing():
     assert all(sum(change) == 1 for name, change in changed.items() if name != "full")
 
 
-def test_without_lasting_errors_every_image_is_new_however_little_the_camera_moves():
+def test_without_correlated_errors_every_image_is_new_however_little_the_camera_moves():
     errors = ABLATIONS["no-correlation"].errors(ERRORS)
-    assert errors.lasting_fraction == 0.0
+    assert errors.correlated_fraction == 0.0
     novelty = {}
     for name, of_ablation in (("full", ERRORS), ("no-correlation", errors)):
         localizer = ParticleLocalizer(None, rng=np.random.default_rng(0))
@@ -61,7 +61,7 @@ def test_without_lasting_errors_every_image_is_new_however_little_the_camera_mov
 def test_without_injection_nothing_is_born_where_images_move_to():
     weights = {}
     for name in ("full", "no-injection"):
-        config = ABLATIONS[name].localizer(LocalizerConfig(kidnap_per_view=0.1))
+        config = ABLATIONS[name].localizer(LocalizerConfig(birth_rate=0.1))
         localizer = ParticleLocalizer(None, config, rng=np.random.default_rng(0))
         onward = Odometry(Poses.exp(np.array([0.6, 0, 0, 0, 0, 0])), 1e-4 * np.eye(6), 0.5)
         for i in range(8):

@@ -60,16 +60,16 @@ def test_all_methods_are_given_the_same_and_told_how_long_it_was():
     assert all(mine[0] is theirs[0] for mine, theirs in zip(one.given, other.given, strict=True))
 
 
-def test_where_an_image_says_nothing_its_places_are_those_of_the_last_one_that_did():
+def test_where_an_image_is_uninformative_its_places_are_those_of_the_last_one_that_did():
     loop = loop_of()
     seen = loop.step(0, seen_at(lifted(Poses.identity(), [0.0, 3.0]), [0.6, 0.4]), None, observe_ms=0.0)
     assert [mode.weight for mode in seen.image_modes] == [0.6, 0.4]
     assert seen.evidence == seen.image_modes
-    empty = loop.step(S, PosePosterior.nothing(), ONWARD, observe_ms=0.0)
+    empty = loop.step(S, PosePosterior.uninformative(), ONWARD, observe_ms=0.0)
     assert (empty.image_modes, empty.evidence) == (seen.image_modes, ())
-    foreign = loop.step(2 * S, seen_at(Poses.identity(), unfamiliarity=3.0), ONWARD, observe_ms=0.0)
-    assert len(foreign.image_modes) == 1
-    assert foreign.evidence == ()
+    unlike = loop.step(2 * S, seen_at(Poses.identity(), ood_score=3.0), ONWARD, observe_ms=0.0)
+    assert len(unlike.image_modes) == 1
+    assert unlike.evidence == ()
 
 
 @pytest.mark.usefixtures("unchecked")

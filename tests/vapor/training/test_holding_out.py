@@ -6,7 +6,7 @@ import pytest
 from filtering.se3 import Poses
 from tests.helpers.corridors import STEP_M, corridor, recorded, stairwell
 from vapor.training.holding_out import Split, hold_out, within_map
-from vapor.training_data.ground import told_unshown
+from vapor.training_data.ground import describe_unshown
 
 
 def trained(split: Split) -> np.ndarray:
@@ -36,7 +36,7 @@ def test_of_many_walks_as_many_are_held_out_as_asked_for():
     assert not hold_out(images, 0.0).held_out_mask.any()
 
 
-def test_a_floor_that_one_walk_alone_shows_is_trained_on():
+def test_a_storey_that_one_walk_alone_shows_is_trained_on():
     walks = stairwell(top=(0,), walks=4)
     alone = walks.poses.translation[:, 2] > 8.9
     images = walks.select(np.flatnonzero((walks.sequence == 0) | (walks.poses.translation[:, 0] < 8.0)))
@@ -134,12 +134,12 @@ def test_given_images_outside_the_map_are_not_evaluated_on_and_told():
 
 def test_a_run_over_ground_that_training_images_do_not_show_is_told_so():
     training = stairwell(top=(), walks=3).poses
-    told = told_unshown(stairwell(walks=1).poses, training)
+    told = describe_unshown(stairwell(walks=1).poses, training)
     assert told is not None
     assert told.startswith(
         "25% of the images were taken, by the smoothed trajectory, where no training image is within"
     )
     assert "images 300 to 399;" in told
-    assert told_unshown(training[np.arange(300)], training) is None
+    assert describe_unshown(training[np.arange(300)], training) is None
     back = corridor(10, 0, ahead=False)  # the same ground, but what was behind the camera is ahead
-    assert told_unshown(back, training) is not None
+    assert describe_unshown(back, training) is not None

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from filtering.error_model import ErrorModel
+from filtering.measurement_noise import MeasurementNoise
 from filtering.se3 import Poses
 from tests.helpers.full import full, some
 from tests.helpers.simulation import frames_of
@@ -20,8 +20,8 @@ pytestmark = pytest.mark.usefixtures("unchecked")
 
 STD = np.array([0.1, 0.1, 0.1, 0.03, 0.03, 0.03])
 SIX = (0.1, 0.1, 0.1, 0.03, 0.03, 0.03)
-HONEST = ErrorModel(
-    floor=SIX, typical_std=SIX, length_m=0.5, length_rad=0.5, lasting_fraction=0.5, flat_log_density=-4.0
+HONEST = MeasurementNoise(
+    noise_floor=SIX, typical_std=SIX, length_m=0.5, length_rad=0.5, correlated_fraction=0.5, log_clutter_density=-4.0
 )
 
 
@@ -30,14 +30,14 @@ def images():
     return load_training_set({str(k): frames_of(90, seed=k) for k in range(2)}, (36, 36))
 
 
-def network_that_errs(std, lasting=0.0):
+def network_that_errs(std, correlated=0.0):
     """In place of a network: samples about true poses that are off, the same way all along by a share."""
 
     def predict(network, images, num_samples, seed):
         rng = np.random.default_rng(int(images.rows[0]))
-        always = np.sqrt(lasting) * rng.standard_normal(6)
+        always = np.sqrt(correlated) * rng.standard_normal(6)
         for i in range(len(images)):
-            off = std * (always + np.sqrt(1.0 - lasting) * rng.standard_normal(6))
+            off = std * (always + np.sqrt(1.0 - correlated) * rng.standard_normal(6))
             yield images.poses[i] @ Poses.exp(off) @ Poses.exp(1e-3 * rng.standard_normal((60, 6)))
 
     return predict
@@ -71,7 +71,7 @@ def test_where_errors_are_as_found_the_filter_is_better_and_nothing_is_changed(i
 )  # with the larger one hardly any is right
 def test_errors_found_too_small_are_taken_larger_and_that_is_said(times, share, images, monkeypatch):
     small, judged = HONEST.inflated(share * times**2), np.arange(180) % 90 >= 45
-    found, kept = checked(images, small, network_that_errs(times * STD, lasting=0.9), monkeypatch, judged)
+    found, kept = checked(images, small, network_that_errs(times * STD, correlated=0.9), monkeypatch, judged)
     assert (found.methods["single_image"].right < 0.2) == (times > 1.0)
     assert found.inflation > 1.0 or found.assumed
     assert kept.errors.typical_std[0] > small.typical_std[0]

@@ -33,7 +33,7 @@ from vapor.commands.console import InputPath, parse, show
 from vapor.commands.progress import progress
 from vapor.commands.workers import workers_for
 from vapor.parallel.jobs import Workers
-from vapor.pipeline.fleet import unique_names
+from vapor.pipeline.batch import unique_names
 from vapor.storage import fetched, url_of
 
 
@@ -186,7 +186,7 @@ def _measure(o: Options, workers: Workers) -> None:
     left_out = [fault for fault in o.config.faults if fault not in {run.fault for run in runs}]
     partial = {name: {"used": used, "images": count} for name, used, count in benchmark.left_out()}
     recordings = {name: url_of(path) or str(path) for name, path in o.named.items()}
-    read = {"recordings": recordings, "reading": o.reading.told, "partial": partial} if recordings else {}
+    read = {"recordings": recordings, "reading": o.reading.stated, "partial": partial} if recordings else {}
     write_summary(o, asdict(o.config), summary, results, unused=unused, left_out=left_out, **read)
     publish_results(o.output)
     for table in fault_tables(summary):

@@ -65,13 +65,13 @@ def main(arguments: Sequence[str]) -> None:
             advance(number, len(options.faults))
     show(table)
     for outcome in outcomes:
-        show(f"{outcome.said}: {', '.join(outcome.statuses)}")
+        show(f"{outcome.label}: {', '.join(outcome.statuses)}")
         write(json.dumps(asdict(outcome)))
 
 
 def _cells(o: Outcome) -> list[str]:
     return [
-        o.said,
+        o.label,
         f"{o.poses_per_s:.1f}",
         f"{o.transforms_per_s:.1f}",
         "never" if o.unsure_after_s is None else f"{o.unsure_after_s:.1f} s",

@@ -59,8 +59,8 @@ def tables(summary: Summary) -> Iterator[Table]:
             yield _position_table(total)
             if kind == "kidnap":
                 yield _recovery_table(total)
-            if "floor" in total["methods"][OURS]:
-                yield _floor_table(total)
+            if "storey" in total["methods"][OURS]:
+                yield _storey_table(total)
             if len(ablations) > 1:
                 yield _comparison_table(None, "ablation", KINDS[kind].like, ablations)
             alike.setdefault(KINDS[kind].like, {})[f"{kind}{of_ablation}"] = total
@@ -69,13 +69,13 @@ def tables(summary: Summary) -> Iterator[Table]:
                 yield _comparison_table(f"{scene}, the filter by kind of run", "kind", like, totals)
 
 
-def said(summary: Summary) -> str:
+def headline(summary: Summary) -> str:
     """What came of it, a sentence for each scene and kind of run."""
     sentences = []
     for scene, kinds in summary.items():
         for kind, ablations in kinds.items():
             total = ablations.get("full") or next(iter(ablations.values()))
-            own, sure = total["methods"][OURS], total["belief"][OURS]["said_converged"]
+            own, sure = total["methods"][OURS], total["belief"][OURS]["converged_images"]
             wrong = round((sure["wrong"] or 0.0) * sure["images"])
             doubt = f"sure and wrong in {wrong or 'none'} of the {sure['images']} images that it called converged"
             found = f"finds its place in {own['successes']} of {total['runs']} runs, and " if "successes" in own else ""
@@ -123,7 +123,7 @@ def _consistency_table(total: Aggregate) -> Table:
     regions = [f"in {region.replace('%', ' %')}\nregion" for region in REGIONS]
     table = new_table(None, "over the images", "number", "wrong", *regions, "median\nNEES (5.3)")
     for method in ours_first():
-        for key, meaning in (("said_converged", "said converged"), ("after_convergence", "from found on")):
+        for key, meaning in (("converged_images", "converged"), ("after_convergence", "from found on")):
             part = total["belief"][method][key]
             table.add_row(f"{label(method)}\n  {meaning}", str(part["images"]), *_consistency(part))
     return table
@@ -169,25 +169,25 @@ def _status_table(total: Aggregate) -> Table:
 
 
 def _position_table(total: Aggregate) -> Table:
-    """As others report: positions alone, floors where there are several, and short sequences from a flat prior."""
+    """As others report: positions alone, storeys where there are several, and short sequences from a flat prior."""
     lengths = total.get("sequences", {})
-    has_floors = "floor_accuracy" in total["methods"][OURS]
+    has_storeys = "storey_accuracy" in total["methods"][OURS]
     columns = [f"within\n{name.replace('m', ' m')}" for name in POSITION_M]
-    columns += ["right\nfloor"] if has_floors else []
+    columns += ["right\nstorey"] if has_storeys else []
     columns += [f"{length} images\n{limit.replace('m', ' m')}" for length in lengths for limit in SUCCESS_M]
     table = new_table(None, "method", *columns)
     for name in METHODS:
         method = total["methods"][name]
         intervals = method["intervals"]
         cells = [(method["position_recall"][limit], intervals["position_recall"][limit]) for limit in POSITION_M]
-        cells += [(method["floor_accuracy"], intervals["floor_accuracy"])] if has_floors else []
+        cells += [(method["storey_accuracy"], intervals["storey_accuracy"])] if has_storeys else []
         for part in lengths.values():
             if name in part["success"]:
                 cells += [(part["success"][name][limit], part["intervals"][name][limit]) for limit in SUCCESS_M]
         table.add_row(label(name), *(over(fraction(value), interval(bounds, ".0f", 100)) for value, bounds in cells))
     if lengths:
-        said = " and ".join(f"{part['sequences']} of {length} images" for length, part in lengths.items())
-        table.caption = f"sequences, each from a flat prior: {said}; right at all of the last {LAST} images"
+        parts_of_walks = " and ".join(f"{part['sequences']} of {length} images" for length, part in lengths.items())
+        table.caption = f"sequences, each from a flat prior: {parts_of_walks}; right at all of the last {LAST} images"
     return table
 
 
@@ -205,21 +205,21 @@ def _recovery_table(total: Aggregate) -> Table:
     return table
 
 
-def _floor_table(total: Aggregate) -> Table:
-    """Where floors look alike: over the images once the floor is right to the end, and over all, right but for it."""
+def _storey_table(total: Aggregate) -> Table:
+    """Where storeys look alike: over the images once the storey is right to the end, and over all, right but for it."""
     regions = [f"in {region.replace('%', ' %')}\nregion" for region in REGIONS]
-    columns = ["once on its\nfloor: images", "right", *regions, "median\nNEES (5.3)", "right but\nfor floor"]
+    columns = ["once on its\nstorey: images", "right", *regions, "median\nNEES (5.3)", "right but\nfor storey"]
     table = new_table(None, "method", *columns)
     for name in METHODS:
-        floor = total["methods"][name]["floor"]
-        intervals = floor["intervals"]
-        believed = total["belief"].get(name, {}).get("on_floor")
+        storey = total["methods"][name]["storey"]
+        intervals = storey["intervals"]
+        believed = total["belief"].get(name, {}).get("on_storey")
         table.add_row(
             label(name),
-            str(floor["settled_images"]),
-            over(fraction(floor["settled_right"], 1), interval(intervals["settled_right"], ".1f", 100)),
+            str(storey["settled_images"]),
+            over(fraction(storey["settled_right"], 1), interval(intervals["settled_right"], ".1f", 100)),
             *([""] * (len(REGIONS) + 1) if believed is None else _consistency(believed)[1:]),
-            over(fraction(floor["but_for_it"], 1), interval(intervals["but_for_it"], ".1f", 100)),
+            over(fraction(storey["but_for_it"], 1), interval(intervals["but_for_it"], ".1f", 100)),
         )
     return table
 
@@ -241,7 +241,7 @@ def _comparison_table(title: str | None, what: str, like: str, totals: Mapping[s
                 interval(method["intervals"]["median_translation_m"], ".1f", 100),
             ),
             over(fraction(belief["rightly_converged"]), interval(belief["intervals"]["rightly_converged"], ".0f", 100)),
-            *_consistency(belief["said_converged"]),
+            *_consistency(belief["converged_images"]),
         )
     return table
 
@@ -325,4 +325,4 @@ def _page(o: Options, summary: Summary, printed: Sequence[Table], failed: Sequen
     parts.append(("Runs to look at", [*failed]))
     asked = f"{o.config.runs} runs of each kind ({', '.join(o.config.kinds)}), synthetic images, simulated odometry"
     settings = o.config.settings() | {"models": o.model_of}
-    return findings_page(", ".join(o.scenes), asked, said(summary), parts, settings=settings, command=command)
+    return findings_page(", ".join(o.scenes), asked, headline(summary), parts, settings=settings, command=command)

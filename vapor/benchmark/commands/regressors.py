@@ -88,10 +88,12 @@ def _table_page(results: Sequence[Mapping[str, Any]], gamma: float, settings: Ma
     tables = scene_tables(results, gamma)
     parts = [(each.scene, [html.table(each.columns, each.rows, each.measured)]) for each in tables]
     best = [f"{each.scene}: {each.best} has the highest recall within {RIGHT}, {each.best_recall}." for each in tables]
-    said = " ".join(best) or "No network could be trained."
+    headline = " ".join(best) or "No network could be trained."
     asked = f"{len(results)} networks: every method on every scene, the same budget"
     failed = ("What could not be trained", failures(results))
-    return findings_page("Regressors side by side", asked, said, [*parts, failed], settings=settings, command=command)
+    return findings_page(
+        "Regressors side by side", asked, headline, [*parts, failed], settings=settings, command=command
+    )
 
 
 def _stored(config: TrainConfig) -> dict[str, Any]:

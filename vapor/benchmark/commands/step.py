@@ -17,9 +17,9 @@ from jaxtyping import UInt8
 from rich.table import Table
 
 from filtering.config import LocalizerConfig
-from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError, require_within
 from filtering.localizer import ParticleLocalizer
+from filtering.measurement_noise import MeasurementNoise
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
@@ -201,7 +201,7 @@ def _time_filter(
     return replace(timing, part=f"{label}, {int(np.median(sizes[_WARM_UP:]))} hypotheses")
 
 
-def _alike(count: int, errors: ErrorModel, images: int, rng: np.random.Generator) -> Iterator[PosePosterior]:
+def _alike(count: int, errors: MeasurementNoise, images: int, rng: np.random.Generator) -> Iterator[PosePosterior]:
     """Posteriors of a walk through places that all look alike, the first of as many hypotheses as asked for."""
     std = np.asarray(errors.typical_std)
     spots = Poses.exp(rng.uniform(-1.0, 1.0, (_PLACES, 6)) * np.repeat([20.0 * errors.radius_m, 2.0], 3))

@@ -137,12 +137,10 @@ def _filmed(
     count = len(recording.times_ns)
     if cause == "three-times":
         odometry, truth = tuple(map(recording.motion, range(count))), recording.path.world_from_camera
-        posterior_poses, unfamiliarity = recording.posterior_poses, recording.unfamiliarity
-        return Replay(recording.times_ns, odometry, truth, posterior_poses, unfamiliarity, replay.cue_images)
+        posterior_poses, ood_score = recording.posterior_poses, recording.ood_score
+        return Replay(recording.times_ns, odometry, truth, posterior_poses, ood_score, replay.cue_images)
     numbers = np.arange(len(replay.times_ns)) % count
-    return shown(
-        replay, during, lambda image: recording.posterior_poses(image % count), recording.unfamiliarity[numbers]
-    )
+    return shown(replay, during, lambda image: recording.posterior_poses(image % count), recording.ood_score[numbers])
 
 
 _BARREN = 20  # walks in a row without a moment for a fault, after which there is no hope of another

@@ -90,16 +90,16 @@ def _missing(replay: Replay, images: Collection[int]) -> Replay:
 
 
 def frozen(replay: Replay, during: range) -> Replay:
-    """The last image is repeated, pixel by pixel. It is uninformative, and its familiarity stays as it was."""
-    unfamiliarity = np.full(len(replay.times_ns), replay.unfamiliarity[max(during.start - 1, 0)])
-    return shown(replay, during, lambda image: Poses.identity(0), unfamiliarity)
+    """The last image is repeated, pixel by pixel. It is uninformative, and its ood_model stays as it was."""
+    ood_score = np.full(len(replay.times_ns), replay.ood_score[max(during.start - 1, 0)])
+    return shown(replay, during, lambda image: Poses.identity(0), ood_score)
 
 
 def shown(
     replay: Replay,
     during: Collection[int],
     posterior_poses: Callable[[int], Poses],
-    unfamiliarity: Float64[np.ndarray, " n"],
+    ood_score: Float64[np.ndarray, " n"],
 ) -> Replay:
     """Other images are shown.
 
@@ -107,13 +107,13 @@ def shown(
         replay: n images.
         during: The images that are replaced.
         posterior_poses: Posterior samples of the other images, by the number of the image that each replaces.
-        unfamiliarity: Of the other images, (n,).
+        ood_score: Of the other images, (n,).
     """
     affected = np.isin(np.arange(len(replay.times_ns)), [*during])
     return replace(
         replay,
         posterior_poses=lambda image: (posterior_poses if image in during else replay.posterior_poses)(image),
-        unfamiliarity=np.where(affected, unfamiliarity, replay.unfamiliarity),
+        ood_score=np.where(affected, ood_score, replay.ood_score),
     )
 
 

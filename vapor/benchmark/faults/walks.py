@@ -135,7 +135,7 @@ class RecordedWalk:
         Raises:
             VaporTrackError: it cannot be read.
         """
-        asked = replace(self.reading, poses=None, poses_times=None).told | {"package": version("vapor-track")}
+        asked = replace(self.reading, poses=None, poses_times=None).stated | {"package": version("vapor-track")}
         made = hashlib.sha256(json.dumps(asked).encode())
         for path in (*listing.files_read(self.file), *self.reading.files_read):
             for part in sorted(path.rglob("*")) if path.is_dir() else [path]:
@@ -159,7 +159,7 @@ class RecordedWalk:
         recording = load_recording(self.own, directory)
         odometry = tuple(map(recording.motion, range(len(recording.times_ns))))
         truth, posterior_poses = recording.path.world_from_camera, recording.posterior_poses
-        return Replay(recording.times_ns, odometry, truth, posterior_poses, recording.unfamiliarity, 0)
+        return Replay(recording.times_ns, odometry, truth, posterior_poses, recording.ood_score, 0)
 
     def beliefs(self, replay: Replay) -> Mapping[str, Belief]:
         """What the methods believe after each image of a replay."""

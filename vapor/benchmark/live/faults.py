@@ -40,7 +40,7 @@ class Fault:
     """A fault, or a way to run with one all the time.
 
     Attributes:
-        said: What it is.
+        label: What it is.
         begin: What the robot is asked to do at its beginning.
         end: And at its end.
         lasts_s: How long.
@@ -49,7 +49,7 @@ class Fault:
         lossy: Whether a fifth of the robot's datagrams is lost, all the time.
     """
 
-    said: str
+    label: str
     begin: str = ""
     end: str = ""
     lasts_s: float = 10.0
@@ -118,7 +118,7 @@ class Outcome:
     """What came of a fault.
 
     Attributes:
-        said: What it was.
+        label: What it was.
         sure_after_s: Seconds from the first image to the estimate that was `converged` for 5 s; None for never.
         poses_per_s: Of the camera, during the fault.
         transforms_per_s: Likewise of tf.
@@ -129,7 +129,7 @@ class Outcome:
         worst_m: The furthest that it was off, metres; NaN where none was published.
     """
 
-    said: str
+    label: str
     sure_after_s: float | None
     poses_per_s: float
     transforms_per_s: float
@@ -270,7 +270,7 @@ def _outcome(
     shift_ns = 5_000_000_000 if fault.begin.startswith("clock") else 0
     errors_m = _errors_m([(s, n + shift_ns, pose) for s, n, pose in bases], walk, walk_ns)
     return Outcome(
-        fault.said,
+        fault.label,
         None if sure_s is None else sure_s - begun_s - _SURE_S,
         sum(begin_s <= told_s < end_s for told_s, _ in received.poses) / lasted_s,
         sum(begin_s <= told_s < end_s for told_s in received.transforms) / lasted_s,

@@ -52,7 +52,7 @@ def _summary(draws: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     first = draws[0]
     unit_m = first["unit_m"]
     beliefs = [draw["belief"]["filter"] for draw in draws]
-    everywhere, converged = ([belief[key] for belief in beliefs] for key in ("all_images", "said_converged"))
+    everywhere, converged = ([belief[key] for belief in beliefs] for key in ("all_images", "converged_images"))
 
     def of(method: str) -> dict[str, Any]:
         each = [draw["methods"][method] for draw in draws]
@@ -206,7 +206,7 @@ def _evaluated(row: Row, seed: int, context: RowContext, config: RealConfig) -> 
     def compute() -> list[dict[str, Any]]:
         context.advance("localizing", seed, None)
         draw = row.draw(context, seed, config.localizer)
-        followed = follow(draw.passage, draw.errors, draw.localizer, rng=np.random.default_rng(seed))
+        followed = follow(draw.segment, draw.errors, draw.localizer, rng=np.random.default_rng(seed))
         compared = compare(followed).scaled(1.0 / draw.unit_m)
         return [
             {"row": row.name, "group": row.group, "of": what, "seed": seed, "unit_m": draw.unit_m}

@@ -35,7 +35,7 @@ from vapor.cache import digest
 from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.checkpoints.file_format import load_checkpoint
 from vapor.storage import fetched, published
-from vapor.tracking.follow import Passage
+from vapor.tracking.follow import Segment
 from vapor.training.config import TrainConfig
 from vapor.training.presets import PRESETS
 from vapor.training.train import train_on
@@ -109,9 +109,9 @@ class CopiedPlaces:
         since = times_ns - times_ns[first]
         after = since >= round(_AFTER_S * 1e9)
         return Draw(
-            Passage(times_ns, (None, *motions), truth[images], lambda i: of_recorded(int(images[i]))).restated(fit),
+            Segment(times_ns, (None, *motions), truth[images], lambda i: of_recorded(int(images[i]))).restated(fit),
             checkpoint.calibration.errors,
-            config if fit is None else replace(config, slow_errors=fit.slow_errors),
+            config if fit is None else replace(config, odometry_bias=fit.odometry_bias),
             {"before": since < 0, f"{_AFTER_S:g} s after": after & (np.cumsum(after) == 1), "after": after},
             in_sequences=False,
         )

@@ -28,7 +28,7 @@ from vapor.calibration.image_errors import fit_errors
 from vapor.calibration.places import Observations
 from vapor.checkpoints.scene_scale import default_errors
 from vapor.pipeline.fuse import EstimateConfig, EstimateModel, errors_of, over_sequences
-from vapor.tracking.follow import Passage
+from vapor.tracking.follow import Segment
 
 
 @dataclass(frozen=True)
@@ -82,9 +82,9 @@ class StoredPosteriors:
         scene = truth[trained_on]  # the places that the network knows
         seen = Observations([samples[i] for i in unseen], truth[unseen])
         errors = fit_errors(seen, way, scene, default_errors(scene)).errors
-        passage = Passage(times_ns, odometry, truth, lambda image: PosePosterior.from_samples(samples[image], errors))
-        localizer = replace(config, slow_errors=fit.slow_errors)
-        return Draw(passage.restated(fit), errors, localizer, {"": ~first})
+        segment = Segment(times_ns, odometry, truth, lambda image: PosePosterior.from_samples(samples[image], errors))
+        localizer = replace(config, odometry_bias=fit.odometry_bias)
+        return Draw(segment.restated(fit), errors, localizer, {"": ~first})
 
 
 def simulated_motions(
@@ -173,7 +173,7 @@ class PoseEstimates:
             )
         rng = np.random.default_rng(0)  # nothing is drawn from it
         return Draw(
-            Passage(
+            Segment(
                 np.array([frame.time_ns for frame in frames], np.int64),
                 tuple(frame.odometry for frame in frames),
                 Poses.stack(truth),

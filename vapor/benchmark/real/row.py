@@ -10,10 +10,10 @@ import numpy as np
 from jaxtyping import Bool
 
 from filtering.config import LocalizerConfig
-from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError
+from filtering.measurement_noise import MeasurementNoise
 from vapor.engines.engine import EngineConfig
-from vapor.tracking.follow import Passage
+from vapor.tracking.follow import Segment
 
 Advance = Callable[[str, int, int | None], None]
 """Called with what is being done, how much of it is done, and how much there is."""
@@ -51,7 +51,7 @@ class Draw:
     """One draw of a row, ready to be localized.
 
     Attributes:
-        passage: n images.
+        segment: n images.
         errors: How they err.
         localizer: Settings of the filter.
         evaluated: Which images are evaluated, (n,), by a name for them; the empty name is the row itself.
@@ -59,8 +59,8 @@ class Draw:
         in_sequences: Whether short sequences of it are localized too, each from the beginning.
     """
 
-    passage: Passage
-    errors: ErrorModel
+    segment: Segment
+    errors: MeasurementNoise
     localizer: LocalizerConfig
     evaluated: Mapping[str, Bool[np.ndarray, " n"]]
     unit_m: float = 1.0

@@ -24,7 +24,7 @@ from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.checkpoints.file_format import load_checkpoint
 from vapor.landmarks.verify import verified
 from vapor.storage import fetched, published, withdrawn
-from vapor.tracking.follow import Passage, posterior_of
+from vapor.tracking.follow import Segment, posterior_of
 from vapor.training.config import TrainConfig
 from vapor.training.presets import PRESETS
 from vapor.training.progress import ProgressCallback
@@ -98,9 +98,9 @@ class TrainedNetwork:
         posterior, n = posterior_of_recorded(recording, checkpoint), len(recording.times_ns)
         truth, odometry = recording.path.world_from_camera, tuple(recording.motion(i) for i in range(n))
         return Draw(
-            Passage(recording.times_ns, odometry, truth, posterior).restated(fit),
+            Segment(recording.times_ns, odometry, truth, posterior).restated(fit),
             errors,
-            config if fit is None else replace(config, slow_errors=fit.slow_errors),
+            config if fit is None else replace(config, odometry_bias=fit.odometry_bias),
             {what: of(n) for what, of in self.evaluated.items()},
         )
 
@@ -166,7 +166,7 @@ def posterior_of_recorded(recording: Recording, checkpoint: Checkpoint) -> Calla
     errors, landmarks = checkpoint.calibration.errors, checkpoint.landmarks
 
     def posterior(image: int) -> PosePosterior:
-        coarse = posterior_of(recording.posterior_poses(image), errors, float(recording.unfamiliarity[image]))
+        coarse = posterior_of(recording.posterior_poses(image), errors, float(recording.ood_score[image]))
         if landmarks is None:
             return coarse
         return verified(coarse, recording.verified[image], landmarks.verification, landmarks.mapped)

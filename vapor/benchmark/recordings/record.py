@@ -22,7 +22,7 @@ from sequences.reader import SequenceReader
 from sequences.rendering.render import sees_cue
 from sequences.scenes import find_scene
 from sequences.synthesize import SyntheticSequence, synthesize, write_synthetic
-from vapor.benchmark.foreign_images import FOREIGN
+from vapor.benchmark.ood_images import OUT_OF_DISTRIBUTION
 from vapor.benchmark.recordings.storage import (
     PATH,
     SAMPLES,
@@ -173,7 +173,7 @@ def _observe(
         engine=engine,
         precision=settings.precision,
     )
-    times_ns, odometry, covariance, truth, unfamiliarity, verified = [], [], [], [], [], []
+    times_ns, odometry, covariance, truth, ood_score, verified = [], [], [], [], [], []
     ended: Frame | None = None
     shape = (settings.num_samples, 12)
     with (folder / SAMPLES).open("wb") as samples:
@@ -190,7 +190,7 @@ def _observe(
                 )
             image = frame.image
             if settings.change is not None:
-                image = np.ascontiguousarray(FOREIGN[settings.change](image, noise))
+                image = np.ascontiguousarray(OUT_OF_DISTRIBUTION[settings.change](image, noise))
             posterior = model.observe(image, rng=rng)
             samples.write(to_rows(posterior.samples).astype(np.float32).tobytes())
             motion = frame.odometry if truth and frame.odometry is not None else _NO_MOTION
@@ -198,7 +198,7 @@ def _observe(
             truth.append(frame.world_from_camera)
             odometry.append(motion.previous_from_current)
             covariance.append(motion.covariance)
-            unfamiliarity.append(posterior.unfamiliarity)
+            ood_score.append(posterior.ood_score)
             verified.append(() if model.verifier is None else tuple(model.verifier.latest))
             if len(truth) == most:
                 break
@@ -214,7 +214,7 @@ def _observe(
         sees_cue=np.zeros(len(truth), bool) if seen is None else seen,
         odometry=to_rows(Poses.stack(odometry)),
         odometry_covariance=np.stack(covariance),
-        unfamiliarity=np.array(unfamiliarity),
+        ood_score=np.array(ood_score),
         **of_landmarks,
     )
     return len(truth)

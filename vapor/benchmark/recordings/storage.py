@@ -46,7 +46,7 @@ class RecordingSettings:
         network_sha256: Of all that the answer of the network depends on.
         stand: The image at which the camera stops, and for how many seconds it stands; None if it does not stop.
         part: The first of the images that are recorded, and how many; None for all.
-        change: What is done to every image before the network sees it, one of `FOREIGN`; None for nothing.
+        change: What is done to every image before the network sees it, one of `OUT_OF_DISTRIBUTION`; None for nothing.
         odometry_scale: Error of the odometry's distances, as a fraction of them; None for a random one.
         precision: Of the network's arithmetic; engines agree within rounding.
         camera: The camera that it is rendered with, the numbers of `Camera`; None for that of its scene.
@@ -88,10 +88,10 @@ class FileSettings:
 
     Attributes:
         made: Digest of everything that the file was made from.
-        seen_sha256: Of all that samples and familiarity of an image depend on.
+        seen_sha256: Of all that samples and ood_model of an image depend on.
         seed: Of the network's latent noise.
         images: How many, from the first one on; None for all.
-        change: What is done to every image before the network sees it, one of `FOREIGN`; None for nothing.
+        change: What is done to every image before the network sees it, one of `OUT_OF_DISTRIBUTION`; None for nothing.
     """
 
     sequence: str
@@ -143,7 +143,7 @@ class Recording:
         odometry: Camera motion since the previous image as read from the file, (n,); the first is the identity.
         odometry_covariance: Of ξ = (v, ω), (n, 6, 6).
         samples: Posterior samples, rotation matrix by rows and translation, (n, m, 12); read from disk when asked for.
-        unfamiliarity: Of each image, see `PosePosterior`, (n,).
+        ood_score: Of each image, see `PosePosterior`, (n,).
         verified: The poses that landmarks verify, of each image, (n,).
     """
 
@@ -152,7 +152,7 @@ class Recording:
     odometry: Poses
     odometry_covariance: Float64[np.ndarray, "n 6 6"]
     samples: Float32[np.ndarray, "n m 12"]
-    unfamiliarity: Float64[np.ndarray, " n"]
+    ood_score: Float64[np.ndarray, " n"]
     verified: tuple[tuple[VerifiedPose, ...], ...]
 
     def posterior_poses(self, image: int) -> Poses:
@@ -186,7 +186,7 @@ def load_recording(settings: RecordingSettings | FileSettings, directory: Path) 
         from_rows(stored["odometry"]),
         stored["odometry_covariance"],
         np.load(folder / SAMPLES, mmap_mode="r", allow_pickle=False),
-        stored["unfamiliarity"],
+        stored["ood_score"],
         _verified(stored),
     )
 

@@ -84,7 +84,7 @@ def recorded_images(kind: Kind, images: int) -> int:
 
 
 @dataclass(frozen=True)
-class Segment:
+class Excerpt:
     """A segment of a recording.
 
     Attributes:
@@ -109,7 +109,7 @@ class Trial:
 
     scene: str
     kind: Kind
-    segments: tuple[Segment, ...]
+    segments: tuple[Excerpt, ...]
     stride: int = 1
 
     @property
@@ -193,16 +193,16 @@ def spread_starts(starts: Int64[np.ndarray, " k"], *, rng: np.random.Generator) 
     return sorted(chosen)
 
 
-def _windows(kind: Kind, seed: int, frames: int, path: Callable[[int], CameraPath]) -> list[tuple[Segment, ...]]:
+def _windows(kind: Kind, seed: int, frames: int, path: Callable[[int], CameraPath]) -> list[tuple[Excerpt, ...]]:
     starts = cue_starts(path(seed).sees_cue, length=frames, within=frames // 2)
-    return [(Segment(seed, start, frames),) for start in spread_starts(starts, rng=np.random.default_rng([seed, 0]))]
+    return [(Excerpt(seed, start, frames),) for start in spread_starts(starts, rng=np.random.default_rng([seed, 0]))]
 
 
-def _whole(kind: Kind, seed: int, frames: int, path: Callable[[int], CameraPath]) -> list[tuple[Segment, ...]]:
-    return [(Segment(seed, 0, recorded_images(kind, frames)),)]
+def _whole(kind: Kind, seed: int, frames: int, path: Callable[[int], CameraPath]) -> list[tuple[Excerpt, ...]]:
+    return [(Excerpt(seed, 0, recorded_images(kind, frames)),)]
 
 
-def _stands(kind: Kind, seed: int, frames: int, path: Callable[[int], CameraPath]) -> list[tuple[Segment, ...]]:
+def _stands(kind: Kind, seed: int, frames: int, path: Callable[[int], CameraPath]) -> list[tuple[Excerpt, ...]]:
     if KINDS[kind].cues == "none":
         stops = np.array([STAND_AFTER])
     else:
@@ -212,10 +212,10 @@ def _stands(kind: Kind, seed: int, frames: int, path: Callable[[int], CameraPath
     if not len(stops):
         return []
     stop = recorded_images(kind, int(stops[0]))
-    return [(Segment(seed, 0, stop + recorded_images(kind, round(IMAGE_RATE_HZ * STAND_S)), stop),)]
+    return [(Excerpt(seed, 0, stop + recorded_images(kind, round(IMAGE_RATE_HZ * STAND_S)), stop),)]
 
 
-def _kidnaps(kind: Kind, seed: int, frames: int, path: Callable[[int], CameraPath]) -> list[tuple[Segment, ...]]:
+def _kidnaps(kind: Kind, seed: int, frames: int, path: Callable[[int], CameraPath]) -> list[tuple[Excerpt, ...]]:
     before = 2 * frames // 3
     after = frames - before
     rng = np.random.default_rng([seed, 1])
@@ -229,5 +229,5 @@ def _kidnaps(kind: Kind, seed: int, frames: int, path: Callable[[int], CameraPat
         far = np.linalg.norm(there.world_from_camera.translation[landings] - left, axis=1) > _CARRIED_M
         if far.any():
             landing = int(rng.choice(landings[far]))
-            segments.append((Segment(seed, start, before), Segment(seed + 1, landing, after)))
+            segments.append((Excerpt(seed, start, before), Excerpt(seed + 1, landing, after)))
     return segments

@@ -12,20 +12,20 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from filtering.floors import Floors
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
+from filtering.storeys import Storeys
 from sequences.scenes import find_scene
 from vapor.benchmark.evaluation import compare, evaluate_sequences
 from vapor.benchmark.recordings.storage import Recording, load_recording
-from vapor.benchmark.trials.choose import KINDS, Segment, Trial
+from vapor.benchmark.trials.choose import KINDS, Excerpt, Trial
 from vapor.benchmark.trials.setup import Setup, setup_settings
 from vapor.cache import cached
 from vapor.landmarks.localize import VerifiedPose
 from vapor.landmarks.verify import verified
 from vapor.tracking.ablations import ABLATIONS
-from vapor.tracking.follow import Followed, Passage, follow, posterior_of
+from vapor.tracking.follow import Followed, Segment, follow, posterior_of
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Replay:
         odometry: Camera motion since the previous image, (n,).
         truth: True poses, batch (n,).
         posterior_poses: Posterior samples of an image, by its number; none for an uninformative one.
-        unfamiliarity: Of each image, (n,).
+        ood_score: Of each image, (n,).
         cue_images: Number of images that show something unique.
         verified_poses: The poses that landmarks verify, of an image, by its number.
     """
@@ -46,12 +46,12 @@ class Replay:
     odometry: tuple[Odometry, ...]
     truth: Poses
     posterior_poses: Callable[[int], Poses]
-    unfamiliarity: Float64[np.ndarray, " n"]
+    ood_score: Float64[np.ndarray, " n"]
     cue_images: int
     verified_poses: Callable[[int], Sequence[VerifiedPose]] = lambda image: ()
 
 
-def assemble(trial: Trial, recording: Callable[[Segment], Recording]) -> Replay:
+def assemble(trial: Trial, recording: Callable[[Excerpt], Recording]) -> Replay:
     """Cut a trial from its recordings, segment by segment.
 
     Where the camera is carried off, stamps and odometry continue as if it had not been.
@@ -68,14 +68,14 @@ def assemble(trial: Trial, recording: Callable[[Segment], Recording]) -> Replay:
     parts = [[odometry[k] for k in range(max(position - trial.stride, 0) + 1, position + 1)] for position in seen]
     parts[0] = [odometry[0]]
     truth = Poses.concatenate([s.path.world_from_camera[p.start : p.start + p.length] for s, p in sources])
-    unfamiliarity = np.concatenate([s.unfamiliarity[p.start : p.start + p.length] for s, p in sources])
+    ood_score = np.concatenate([s.ood_score[p.start : p.start + p.length] for s, p in sources])
     sees_cue = np.concatenate([s.path.sees_cue[p.start : p.start + p.length] for s, p in sources])
     return Replay(
         first.times_ns[begin] + step_ns * np.array(seen, dtype=np.int64),
         tuple(reduce(Odometry.then, part) for part in parts),
         truth[np.array(seen)],
         lambda position: images[seen[position]][0].posterior_poses(images[seen[position]][1]),
-        unfamiliarity[np.array(seen)],
+        ood_score[np.array(seen)],
         int(sees_cue[np.array(seen)].sum()),
         lambda position: images[seen[position]][0].verified[images[seen[position]][1]],
     )
@@ -107,18 +107,18 @@ def follow_replay(replay: Replay, setup: Setup, *, seed: Sequence[int], kidnap_i
     errors, fit = ablation.errors(calibration.errors), calibration.odometry
     config = ablation.localizer(setup.localizer)
     if fit is not None:
-        config = replace(config, slow_errors=fit.slow_errors)
+        config = replace(config, odometry_bias=fit.odometry_bias)
 
     def posterior(image: int) -> PosePosterior:
-        coarse = posterior_of(replay.posterior_poses(image), errors, float(replay.unfamiliarity[image]))
+        coarse = posterior_of(replay.posterior_poses(image), errors, float(replay.ood_score[image]))
         landmarks = checkpoint.landmarks
         if landmarks is None:
             return coarse
         return verified(coarse, replay.verified_poses(image), landmarks.verification, landmarks.mapped)
 
-    passage = Passage(replay.times_ns, replay.odometry, replay.truth, posterior).restated(fit)
+    segment = Segment(replay.times_ns, replay.odometry, replay.truth, posterior).restated(fit)
     return follow(
-        passage, errors, config, rng=np.random.default_rng(seed), ablation=ablation, kidnap_index=kidnap_index
+        segment, errors, config, rng=np.random.default_rng(seed), ablation=ablation, kidnap_index=kidnap_index
     )
 
 
@@ -161,8 +161,8 @@ def localize(trial: Trial, setup: Setup, replay: Replay) -> dict[str, Any]:
         "variant": setup.ablation,
         "cue_images": replay.cue_images,
         **compare(followed).figures(
-            floor_height_m=find_scene(trial.scene).floor_height_m,
-            floors=Floors.found_in(setup.checkpoint().prior_poses),
+            storey_height_m=find_scene(trial.scene).storey_height_m,
+            storeys=Storeys.found_in(setup.checkpoint().prior_poses),
         ),
         **sequences,
     }

@@ -15,7 +15,7 @@ from filtering.errors import VaporTrackError, require_within
 from vapor.benchmark.recordings.record import camera_path, make_recording
 from vapor.benchmark.recordings.storage import CameraPath, RecordingSettings, not_recorded, seen_digest
 from vapor.benchmark.trials import choose
-from vapor.benchmark.trials.choose import KINDS, Kind, Segment, recorded_images, walk_frames
+from vapor.benchmark.trials.choose import KINDS, Excerpt, Kind, recorded_images, walk_frames
 from vapor.cache import code_digest
 from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.checkpoints.file_format import find_model, load_checkpoint
@@ -76,7 +76,7 @@ class Setup:
 
     Attributes:
         model_sha256: Of the content of the model file.
-        network_sha256: Of all that samples and familiarity of an image depend on.
+        network_sha256: Of all that samples and ood_model of an image depend on.
         frames: Images of a trial.
         ablation: Name of the filter's ablation.
         odometry_scale: Error of the odometry's distances, as a fraction of them; None for a random one.
@@ -109,7 +109,7 @@ class Setup:
             precision=self.network.precision,
         )
 
-    def recording(self, scene: str, kind: Kind, segment: Segment) -> RecordingSettings:
+    def recording(self, scene: str, kind: Kind, segment: Excerpt) -> RecordingSettings:
         """The recording of that walk that a trial's segment is cut from."""
         walk = self.walk(scene, kind, segment.seed)
         return replace(

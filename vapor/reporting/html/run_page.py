@@ -136,8 +136,8 @@ def _sections(record: RunRecord, report: Mapping[str, Any], settings: Mapping[st
         sections.append(section("Landmarks", _landmarks(record, record.verified)))
     if (trust := _trust(report)) is not None:
         sections.append(section("Is its confidence true", trust))
-    if report.get("floors") is not None:
-        sections.append(section("Which floor", _floors(report["floors"])))
+    if report.get("storeys") is not None:
+        sections.append(section("Which storey", _storeys(report["storeys"])))
     sections.append(section("What was used", [_counts(report)]))
     blocks = [code(command)] if command else []
     versions = settings.get("versions", {})
@@ -191,20 +191,20 @@ def _trust(report: Mapping[str, Any]) -> list[Block] | None:
     ]
 
 
-def _floors(floors: Mapping[str, Any]) -> list[Block]:
+def _storeys(storeys: Mapping[str, Any]) -> list[Block]:
     rows = [
-        (f"floor {number}, {height:.1f} m", f"{100 * part:.1f} %")
-        for number, (height, part) in enumerate(zip(floors["heights_m"], floors["belief"], strict=True))
+        (f"storey {number}, {height:.1f} m", f"{100 * part:.1f} %")
+        for number, (height, part) in enumerate(zip(storeys["heights_m"], storeys["belief"], strict=True))
     ]
-    sure = f"Sure of its floor, by 95 % and more, after {100 * floors['sure']:.0f} % of the images"
-    if (wrong := floors.get("sure_and_wrong")) is not None:
+    sure = f"Sure of its storey, by 95 % and more, after {100 * storeys['sure']:.0f} % of the images"
+    if (wrong := storeys.get("sure_and_wrong")) is not None:
         sure += f", of these wrong: {100 * wrong:.1f} %"
     blocks: list[Block] = [paragraph(f"{sure}.")]
-    if "accuracy" in floors:
-        right = [(METHODS[name].label, f"{100 * part:.0f} %") for name, part in in_order(floors["accuracy"]).items()]
+    if "accuracy" in storeys:
+        right = [(METHODS[name].label, f"{100 * part:.0f} %") for name, part in in_order(storeys["accuracy"]).items()]
         ours = [number for number, row in enumerate(right) if row[0] == METHODS["filter"].label]
-        blocks.append(table(("", "right floor"), right, "Images on the right floor", ours))
-    return [*blocks, table(("", "belief"), rows, "Belief after the last image, by floor and height of the camera")]
+        blocks.append(table(("", "right storey"), right, "Images on the right storey", ours))
+    return [*blocks, table(("", "belief"), rows, "Belief after the last image, by storey and height of the camera")]
 
 
 def _counts(report: Mapping[str, Any]) -> Block:

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from filtering.floors import Floors
+from filtering.storeys import Storeys
 from tests.helpers.pages import ReadPage
 from tests.helpers.simulated_run import simulated_record
 from vapor.reporting.html.run_page import run_page, verdict
@@ -122,21 +122,21 @@ def test_without_true_poses_it_says_so_and_how_sure_it_was():
     assert "Never sure where it is" in read(replace(record, status=("lost",) * 30)).words
 
 
-def test_where_there_are_floors_the_page_says_which(record):
-    floors = Floors((2.0, 5.0, 8.0))
+def test_where_there_are_storeys_the_page_says_which(record):
+    storeys = Storeys((2.0, 5.0, 8.0))
     belief = np.full((150, 3), [0.01, 0.01, 0.98])
-    floored = replace(record, floors=floors, floor_belief=belief)
+    floored = replace(record, storeys=storeys, storey_belief=belief)
     report, page = build_report(floored), read(floored)
-    assert [page.cells[page.cells.index(f"floor {n}, {h:.1f} m") + 1] for n, h in enumerate(floors.heights_m)] == [
+    assert [page.cells[page.cells.index(f"storey {n}, {h:.1f} m") + 1] for n, h in enumerate(storeys.heights_m)] == [
         "1.0 %",
         "1.0 %",
         "98.0 %",
     ]
-    wrong = report["floors"]["sure_and_wrong"]
-    assert f"Sure of its floor, by 95 % and more, after 100 % of the images, of these wrong: {100 * wrong:.1f} %" in (
+    wrong = report["storeys"]["sure_and_wrong"]
+    assert f"Sure of its storey, by 95 % and more, after 100 % of the images, of these wrong: {100 * wrong:.1f} %" in (
         page.words
     )
-    assert "Which floor" not in read(record).words
+    assert "Which storey" not in read(record).words
 
 
 def test_without_images_there_is_no_strip_of_them(record):

@@ -8,7 +8,7 @@ from scipy.stats import chi2
 
 from filtering.config import LocalizerConfig
 from filtering.localizer import ParticleLocalizer
-from filtering.motion import Odometry, SlowErrors
+from filtering.motion import Odometry, OdometryBias
 from filtering.se3 import Poses
 from tests.helpers.full import some
 from tests.helpers.simulation import ERRORS, STD, image_errors, lifted, motion, seen_at, wandering
@@ -70,14 +70,14 @@ def test_any_number_of_images_of_one_view_is_worth_one_image(how, shares, count)
     np.testing.assert_allclose(ended, begun, atol=0.01)
     assert all(estimate.status == "ambiguous" for estimate in estimates)
     for mode in estimates[-1].modes:
-        assert (stds_of(mode) > 0.98 * np.sqrt(ERRORS.lasting_fraction) * STD).all()
+        assert (stds_of(mode) > 0.98 * np.sqrt(ERRORS.correlated_fraction) * STD).all()
     assert sum(estimate.novelty for estimate in estimates[1:]) < 0.05
 
 
 def test_where_only_one_place_looks_so_standing_does_not_narrow_it_beyond_what_lasts_and_what_never_fades():
     localizer = ParticleLocalizer(None, rng=RNG(0))
     mode = stand(localizer, (1.0,), 1000, **WAYS_TO_STAND["with odometry that trembles"])[-1].modes[0]
-    least = ERRORS.lasting_fraction * STD**2 + np.diag(ERRORS.constant_covariance(np.zeros((6, 6))))
+    least = ERRORS.correlated_fraction * STD**2 + np.diag(ERRORS.constant_covariance(np.zeros((6, 6))))
     assert (np.diag(mode.covariance) > 0.97 * least).all()
     assert (np.diag(mode.covariance) < STD**2 + np.diag(ERRORS.constant_covariance(np.zeros((6, 6))))).all()
 
@@ -160,8 +160,10 @@ def test_a_walk_at_3_10_and_30_images_a_second_gives_the_same_belief(seed):
 
 # --- what regions hold ------------------------------------------------------------------------------
 
-EXACT = replace(ERRORS, tail=1e6, outlier_probability=1e-9, flat_log_density=-500.0, constant_fraction=0.0)
-SLOW = SlowErrors(scale=0.03, drift=(0.01,) * 3 + (0.004,) * 3, time_s=10.0)
+EXACT = replace(
+    ERRORS, degrees_of_freedom=1e6, outlier_probability=1e-9, log_clutter_density=-500.0, constant_fraction=0.0
+)
+BIAS = OdometryBias(scale=0.03, drift=(0.01,) * 3 + (0.004,) * 3, time_s=10.0)
 
 
 def squared_error(seed, rate, errors, config, *, outlier_probability=0.0, seconds=6):
@@ -171,8 +173,8 @@ def squared_error(seed, rate, errors, config, *, outlier_probability=0.0, second
     distance = np.hypot(1.0 / errors.length_m, 0.2 / errors.length_rad) / rate
     error = image_errors([distance] * (count - 1), errors, rng=rng)
     constant = np.sqrt(np.diag(errors.constant_covariance(np.zeros((6, 6))))) * rng.standard_normal(6)
-    scale = SLOW.scale * rng.standard_normal() * np.array([1.0, 1, 1, 0, 0, 0]) * STEP_PER_S
-    drift = wandering([1 / rate / SLOW.time_s] * (count - 1), 6, rng=rng) * np.array(SLOW.drift)
+    scale = BIAS.scale * rng.standard_normal() * np.array([1.0, 1, 1, 0, 0, 0]) * STEP_PER_S
+    drift = wandering([1 / rate / BIAS.time_s] * (count - 1), 6, rng=rng) * np.array(BIAS.drift)
     truth, localizer = Poses.identity(), ParticleLocalizer(None, config, rng=rng)
     for i in range(count):
         odometry = None
@@ -191,7 +193,7 @@ def squared_error(seed, rate, errors, config, *, outlier_probability=0.0, second
 
 @pytest.mark.parametrize(("rate", "runs", "seconds"), some(1, [(3, 60, 6), (3, 100, 6), (10, 40, 3)]))
 def test_regions_hold_the_truth_as_often_as_they_say_where_all_is_as_the_model_says(rate, runs, seconds):
-    config = LocalizerConfig(kidnap_per_view=0.0, max_kidnap_per_view=0.0, slow_errors=SLOW)
+    config = LocalizerConfig(birth_rate=0.0, max_birth_rate=0.0, odometry_bias=BIAS)
     seeds = range(1000, 1000 + runs)
     squared = np.array([squared_error(seed, rate, EXACT, config, seconds=seconds) for seed in seeds])
     assert squared.mean() == pytest.approx(6.0, abs=4 * np.sqrt(12 / runs))
@@ -203,7 +205,7 @@ def test_regions_hold_the_truth_as_often_as_they_say_where_all_is_as_the_model_s
 
 def test_regions_hold_at_least_what_they_say_with_outliers_and_the_defaults():
     squared = np.array([
-        squared_error(seed, 4, ERRORS, LocalizerConfig(slow_errors=SLOW), outlier_probability=0.05)
+        squared_error(seed, 4, ERRORS, LocalizerConfig(odometry_bias=BIAS), outlier_probability=0.05)
         for seed in range(60)
     ])  # fmt: skip
     for probability in (0.5, 0.9, 0.95):
@@ -215,14 +217,14 @@ def test_regions_hold_at_least_what_they_say_with_outliers_and_the_defaults():
 # --- one mistake along a corridor -------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("mistaken_lengths", "kept"), [(1.0, False), (12.0, True)])
-def test_a_corridor_that_is_taken_for_another_is_one_mistake_if_such_mistakes_last(mistaken_lengths, kept):
-    errors = replace(ERRORS, mistaken_lengths=mistaken_lengths)
+@pytest.mark.parametrize(("outlier_lengths", "kept"), [(1.0, False), (12.0, True)])
+def test_a_corridor_that_is_taken_for_another_is_one_mistake_if_such_mistakes_last(outlier_lengths, kept):
+    errors = replace(ERRORS, outlier_lengths=outlier_lengths)
     localizer = ParticleLocalizer(None, LocalizerConfig(), rng=RNG(0))
     step = 0.5 * errors.length_m
     poses = [Poses(np.eye(3), np.array([step * i, 0.0, 0.0])) for i in range(100)]
     for i, pose in enumerate(poses):
-        shares = (1.0, 0.0) if i < 80 else (0.02, 0.98)  # ten lengths along which the other floor seems likelier
+        shares = (1.0, 0.0) if i < 80 else (0.02, 0.98)  # ten lengths along which the other noise_floor seems likelier
         seen = replace(seen_at(lifted(pose, ALIKE[:2]), shares), errors=errors)
         odometry = Odometry(Poses(np.eye(3), np.array([step, 0.0, 0.0])), np.diag(AT_REST**2), 0.5) if i else None
         estimate = localizer.update(seen, odometry)

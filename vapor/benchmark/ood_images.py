@@ -1,4 +1,4 @@
-"""How often images of a place are flagged as foreign, and foreign images are not: counts over sequences."""
+"""How often images of a place are flagged as other, and other images are not: counts over sequences."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def _grey(image: Image) -> Image:
     return np.repeat(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)[..., None], 3, axis=2)
 
 
-FOREIGN: Mapping[str, Change] = {
+OUT_OF_DISTRIBUTION: Mapping[str, Change] = {
     "upside down": lambda image, rng: image[::-1, ::-1],
     "mirrored": lambda image, rng: image[:, ::-1],
     "red and blue swapped": lambda image, rng: image[..., ::-1],
@@ -41,7 +41,7 @@ FOREIGN: Mapping[str, Change] = {
     "white": lambda image, rng: np.full_like(image, 255),
     "blurred by 1/30 of the width": lambda image, rng: cv2.GaussianBlur(image, (0, 0), image.shape[1] / 30),
 }
-"""Changes that turn a familiar image into a foreign one."""
+"""Changes that turn a known image into a other one."""
 
 CHANGED: Mapping[str, Change] = {
     "30 % darker": _gains(0.7, 0.7, 0.7),
@@ -56,10 +56,10 @@ CHANGED: Mapping[str, Change] = {
 
 @dataclass(frozen=True)
 class Flagged:
-    """How often images of a kind were flagged as foreign.
+    """How often images of a kind were flagged as other.
 
     Attributes:
-        kind: Name of the data, or of what was done to the familiar images.
+        kind: Name of the data, or of what was done to the known images.
         median: Median score.
         fraction: Fraction of the images with a score above 1.
         fraction_in_a_row: Of the images with nine before them, the fraction where the median of the ten is above 1; NaN
@@ -75,38 +75,38 @@ class Flagged:
 
 def evaluate_flags(
     model: VaporObservationModel,
-    familiar: Sequence[Path | str],
-    foreign: Sequence[Path | str],
+    known: Sequence[Path | str],
+    other: Sequence[Path | str],
     *,
     every: int = 1,
     seed: int = 0,
     advance: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[Flagged]:
-    """Score familiar data, the same data made foreign or changed, and each of the foreign data.
+    """Score known data, the same data made other or changed, and each of the other data.
 
     Args:
-        model: One with a familiarity; how many samples it draws makes no difference.
-        familiar: Files and folders with images of its place that it was not trained on, or `PATH@START:STOP`.
-        foreign: Likewise, of other places.
+        model: One with an OOD model; how many samples it draws makes no difference.
+        known: Files and folders with images of its place that it was not trained on, or `PATH@START:STOP`.
+        other: Likewise, of other places.
         every: Take only every so many images of each.
         advance: Called with the number of files and folders evaluated and that of all.
 
     Raises:
-        VaporTrackError: the model has no familiarity, or data cannot be read.
+        VaporTrackError: the model has no ood_model, or data cannot be read.
     """
-    if model.description.familiarity is None:
-        raise VaporTrackError("the model has no familiarity, expected one with it (`vapor-track calibrate` adds it)")
-    changes: dict[str, Change] = {"familiar": lambda image, rng: image, **FOREIGN, **CHANGED}
+    if model.description.ood_model is None:
+        raise VaporTrackError("the model has no ood_model, expected one with it (`vapor-track calibrate` adds it)")
+    changes: dict[str, Change] = {"known": lambda image, rng: image, **OUT_OF_DISTRIBUTION, **CHANGED}
     scores: dict[str, list[Float64[np.ndarray, " n"]]] = {kind: [] for kind in changes}
-    total = len(familiar) + len(foreign)
-    for done, images in enumerate(_images(familiar, every), 1):
+    total = len(known) + len(other)
+    for done, images in enumerate(_images(known, every), 1):
         found = _scores(model, images, changes, seed)
         for number, kind in enumerate(changes):
             scores[kind].append(found[:, number])
         advance(done, total)
     rows = [_count(kind, of_kind) for kind, of_kind in scores.items()]
-    for done, (entry, images) in enumerate(zip(foreign, _images(foreign, every), strict=True), len(familiar) + 1):
-        found = _scores(model, images, {"familiar": changes["familiar"]}, seed)
+    for done, (entry, images) in enumerate(zip(other, _images(other, every), strict=True), len(known) + 1):
+        found = _scores(model, images, {"known": changes["known"]}, seed)
         rows.append(_count(Path(str(entry)).name, [found[:, 0]]))
         advance(done, total)
     return rows
@@ -124,7 +124,7 @@ def _scores(
     streams = [np.random.default_rng([seed, number]) for number in range(len(changes))]
     scores = [
         [
-            model.observe(np.ascontiguousarray(change(image, rng)), rng=rng).unfamiliarity
+            model.observe(np.ascontiguousarray(change(image, rng)), rng=rng).ood_score
             for change, rng in zip(changes.values(), streams, strict=True)
         ]
         for image in images

@@ -33,7 +33,7 @@ SUMMARY = "summary.json"
 """Name of the file on the results of many sequences, beside these."""
 
 
-def is_fleet(paths: Sequence[Path]) -> bool:
+def is_batch(paths: Sequence[Path]) -> bool:
     """Whether there are several paths, or one folder to search."""
     return len(paths) > 1 or (len(paths) == 1 and _found_in(paths[0]) not in ([], list(paths)))
 
@@ -129,7 +129,7 @@ class Outcome:
     notices: tuple[str, ...] = ()
 
 
-def run_fleet(
+def run_batch(
     sequences: Mapping[str, Path],
     model: str,
     output: Path,
@@ -161,7 +161,7 @@ def run_fleet(
     for name in sequences:
         require_replaceable(output / name, RESULTS, reads, overwrite=overwrite)
     is_summary = partial(is_report, keys=("sequences_in_all",))
-    refuse_other(output / SUMMARY, "summary of a fleet", is_summary, reads=reads, overwrite=overwrite)
+    refuse_other(output / SUMMARY, "summary of a batch", is_summary, reads=reads, overwrite=overwrite)
     try:
         output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -266,7 +266,7 @@ def _write_summary(file: Path, model: str, outcomes: Sequence[Outcome], *, of: i
         partial.write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
-def format_fleet(outcomes: Sequence[Outcome]) -> Table:
+def format_batch(outcomes: Sequence[Outcome]) -> Table:
     """A row a sequence; those of error and success only where there are true poses."""
     from rich.table import Table
 

@@ -8,9 +8,9 @@ import pytest
 from tests.helpers.data_sets import make_7scenes
 from tests.helpers.sequence_files import BEGIN_NS, Walk, as_split_folder, rewrite
 from tests.helpers.tiny_model import SMALL
-from vapor.pipeline import fleet as fleet_module
+from vapor.pipeline import batch as batch_module
 from vapor.pipeline import model as model_module
-from vapor.pipeline.fleet import find_sequences, is_fleet
+from vapor.pipeline.batch import find_sequences, is_batch
 from vapor.track import main
 
 
@@ -50,16 +50,16 @@ def test_a_folder_stands_for_all_recordings_in_it_but_not_for_parts_and_results(
         "estimate": "other/estimate.mcap",
     }
     assert list(found) == ["a", "b", "sequence", "bag", "estimate"]
-    assert is_fleet([bags])
-    assert is_fleet([bags / "results"])  # of one recording, so that results lie alike tomorrow
-    assert not is_fleet([bags / "monday" / "bag"])
-    assert not is_fleet([bags / "a.mcap"])
-    assert not is_fleet([tmp_path / "absent"])
+    assert is_batch([bags])
+    assert is_batch([bags / "results"])  # of one recording, so that results lie alike tomorrow
+    assert not is_batch([bags / "monday" / "bag"])
+    assert not is_batch([bags / "a.mcap"])
+    assert not is_batch([tmp_path / "absent"])
 
 
 def test_a_data_set_is_one_sequence(tmp_path):
     scene = make_7scenes(tmp_path / "scene", num_images=1)
-    assert not is_fleet([scene])
+    assert not is_batch([scene])
     touch(tmp_path, "a.mcap")
     assert list(find_sequences([scene, tmp_path / "a.mcap"], tmp_path / "out")) == ["scene", "a"]
 
@@ -99,7 +99,7 @@ def bags(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.usefixtures("unchecked", "plain_results")
-def test_a_fleet_gives_each_sequence_what_it_gets_alone_and_one_summary(
+def test_a_batch_gives_each_sequence_what_it_gets_alone_and_one_summary(
     bags, tiny_model, tmp_path, capsys, monkeypatch
 ):
     loads: list[str] = []
@@ -141,8 +141,8 @@ def test_a_fleet_gives_each_sequence_what_it_gets_alone_and_one_summary(
 
 
 @pytest.mark.usefixtures("unchecked", "plain_results")
-def test_an_interrupted_fleet_keeps_what_was_finished_whole(bags, tiny_model, tmp_path, capsys, monkeypatch):
-    real, out = fleet_module.run, tmp_path / "out"
+def test_an_interrupted_batch_keeps_what_was_finished_whole(bags, tiny_model, tmp_path, capsys, monkeypatch):
+    real, out = batch_module.run, tmp_path / "out"
 
     def interrupted(sequence, model, output, config, *, progress, **options):
         def stop(done: int, of: int) -> None:
@@ -152,7 +152,7 @@ def test_an_interrupted_fleet_keeps_what_was_finished_whole(bags, tiny_model, tm
 
         return real(sequence, model, output, config, progress=stop, **options)
 
-    monkeypatch.setattr(fleet_module, "run", interrupted)
+    monkeypatch.setattr(batch_module, "run", interrupted)
     assert run([bags / "bag", bags / "kitchen"], tiny_model, out) == 130
     printed = capsys.readouterr()
     assert printed.err.splitlines()[-1] == "vapor-track run: interrupted"
@@ -163,7 +163,7 @@ def test_an_interrupted_fleet_keeps_what_was_finished_whole(bags, tiny_model, tm
     assert (summary["sequences_done"], summary["sequences_in_all"]) == (1, 2)
 
 
-def test_a_model_that_cannot_be_used_is_told_once_and_nothing_is_written(bags, tmp_path, capsys):
+def test_a_model_that_cannot_be_used_issource_topicsce_and_nothing_is_written(bags, tmp_path, capsys):
     assert run([bags], tmp_path / "none.safetensors", tmp_path / "out") == 1
     printed = capsys.readouterr()
     assert "no such model file" in printed.err

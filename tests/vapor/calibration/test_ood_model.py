@@ -1,4 +1,4 @@
-"""What a network calls foreign, on scenes of a few colours that a network of random weights tells apart."""
+"""What a network calls other, on scenes of a few colours that a network of random weights tells apart."""
 
 from dataclasses import replace
 
@@ -12,14 +12,14 @@ from sequences.frame import Frame
 from tests.helpers.command_line import main
 from tests.helpers.sequence_files import Walk
 from tests.helpers.tiny_model import NETWORK, altered
-from vapor.benchmark.foreign_images import CHANGED, FOREIGN, evaluate_flags
+from vapor.benchmark.ood_images import CHANGED, OUT_OF_DISTRIBUTION, evaluate_flags
 from vapor.calibration.calibrate_model import calibrate_model
-from vapor.calibration.familiarity import extract_features, fit_familiarity, learn_familiarity
+from vapor.calibration.ood_model import extract_features, fit_ood_model, learn_ood_model
 from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
 from vapor.observation import VaporObservationModel
 from vapor.regressors.backbones import Describer
-from vapor.regressors.familiarity import description_size
 from vapor.regressors.network_config import make_backbone, stage_channels
+from vapor.regressors.ood_model import description_size
 from vapor.regressors.scene_box import SceneBox
 from vapor.regressors.variational import VariationalPoseRegressor
 from vapor.tensor_files import CheckpointError, read_safetensors
@@ -45,39 +45,39 @@ def images(numbers, *, seed=0, change=lambda image: image):
 
 
 @pytest.fixture(scope="module")
-def familiarity():
-    found = learn_familiarity(REGRESSOR, images(range(100)), images(range(100), seed=1))
+def ood_model():
+    found = learn_ood_model(REGRESSOR, images(range(100)), images(range(100), seed=1))
     assert found is not None
     return found
 
 
-def scores(familiarity, data):
-    return familiarity.unfamiliarity(extract_features(REGRESSOR, data))
+def scores(ood_model, data):
+    return ood_model.ood_score(extract_features(REGRESSOR, data))
 
 
-def test_an_image_learned_from_scores_about_0_and_a_new_one_of_the_place_below_1(familiarity):
-    assert scores(familiarity, images(range(100))).max() < 0.3
-    new = scores(familiarity, images(range(100), seed=2))
+def test_an_image_learned_from_scores_about_0_and_a_new_one_of_the_place_below_1(ood_model):
+    assert scores(ood_model, images(range(100))).max() < 0.3
+    new = scores(ood_model, images(range(100), seed=2))
     assert (new > 1.0).mean() <= 0.03
     assert new.mean() > 0.1
 
 
-@pytest.mark.parametrize("kind", [kind for kind in FOREIGN if not kind.startswith(("mirrored", "blurred"))])
-def test_images_of_no_such_place_score_above_1(familiarity, kind):
+@pytest.mark.parametrize("kind", [kind for kind in OUT_OF_DISTRIBUTION if not kind.startswith(("mirrored", "blurred"))])
+def test_images_of_no_such_place_score_above_1(ood_model, kind):
     rng = np.random.default_rng(0)
-    foreign = images(range(0, 100, 10), change=lambda image: np.ascontiguousarray(FOREIGN[kind](image, rng)))
-    assert (scores(familiarity, foreign) > 1.0).all()
+    other = images(range(0, 100, 10), change=lambda image: np.ascontiguousarray(OUT_OF_DISTRIBUTION[kind](image, rng)))
+    assert (scores(ood_model, other) > 1.0).all()
 
 
-def test_the_threshold_is_the_larger_of_what_training_and_held_out_images_ask_for(familiarity):
-    assert familiarity.threshold >= familiarity.own_distance
+def test_the_threshold_is_the_larger_of_what_training_and_held_out_images_ask_for(ood_model):
+    assert ood_model.threshold >= ood_model.own_distance
     far = extract_features(REGRESSOR, images(range(60), change=lambda image: image[..., ::-1]))
-    moved = familiarity.with_threshold_of(far)
-    assert moved.threshold > 1.5 * familiarity.threshold
-    assert (moved.unfamiliarity(far) <= 1.0).mean() >= 0.98
-    near = familiarity.with_threshold_of(extract_features(REGRESSOR, images(range(60))))
-    assert near.threshold == familiarity.own_distance
-    assert familiarity.with_threshold_of(far[:49]).threshold == familiarity.own_distance
+    moved = ood_model.with_threshold_of(far)
+    assert moved.threshold > 1.5 * ood_model.threshold
+    assert (moved.ood_score(far) <= 1.0).mean() >= 0.98
+    near = ood_model.with_threshold_of(extract_features(REGRESSOR, images(range(60))))
+    assert near.threshold == ood_model.own_distance
+    assert ood_model.with_threshold_of(far[:49]).threshold == ood_model.own_distance
 
 
 def test_own_distance_is_to_other_stretches_not_to_the_images_beside():
@@ -85,13 +85,13 @@ def test_own_distance_is_to_other_stretches_not_to_the_images_beside():
     size = description_size(REGRESSOR.config.backbone)
     places = rng.standard_normal((4, size))
     apart = np.repeat(places, 25, axis=0) + 0.01 * rng.standard_normal((100, size))
-    beside = fit_familiarity(apart.astype(np.float32), np.arange(100) % 4)
-    others = fit_familiarity(apart.astype(np.float32), np.repeat(np.arange(4), 25))
+    beside = fit_ood_model(apart.astype(np.float32), np.arange(100) % 4)
+    others = fit_ood_model(apart.astype(np.float32), np.repeat(np.arange(4), 25))
     assert others.own_distance > 10 * beside.own_distance
 
 
 def test_too_few_images_say_nothing_about_what_is_familiar():
-    assert learn_familiarity(REGRESSOR, images(range(49)), images(range(60))) is None
+    assert learn_ood_model(REGRESSOR, images(range(49)), images(range(60))) is None
 
 
 @pytest.mark.parametrize("name", ["resnet18-quarter", "efficientnet-lite0"])
@@ -113,58 +113,58 @@ def test_a_describer_stops_listening_at_its_end():
 
 
 @pytest.fixture(scope="module")
-def model(tiny_model, familiarity, tmp_path_factory):
+def model(tiny_model, ood_model, tmp_path_factory):
     """The tiny model, knowing the room; its weights are others than the room was described with."""
     checkpoint = load_checkpoint(tiny_model)
     network = checkpoint.build_network()
-    known = learn_familiarity(network, images(range(100)), images(range(100), seed=1))
-    path = tmp_path_factory.mktemp("familiar") / "tiny.safetensors"
-    save_checkpoint(path, replace(checkpoint, familiarity=known), store_float16=True)
+    known = learn_ood_model(network, images(range(100)), images(range(100), seed=1))
+    path = tmp_path_factory.mktemp("known") / "tiny.safetensors"
+    save_checkpoint(path, replace(checkpoint, ood_model=known), store_float16=True)
     return path
 
 
 def test_observing_gives_the_score_of_the_same_pass_and_the_same_samples_as_without(model, tiny_model):
     checkpoint = load_checkpoint(model)
-    assert checkpoint.familiarity is not None
+    assert checkpoint.ood_model is not None
     knowing, without = (VaporObservationModel.from_checkpoint(str(p), num_samples=20) for p in (model, tiny_model))
     posterior = knowing.observe(room(7, seed=5), rng=np.random.default_rng(0))
     bare = without.observe(room(7, seed=5), rng=np.random.default_rng(0))
     described = extract_features(checkpoint.build_network(), images([7], seed=5))
-    assert posterior.unfamiliarity == pytest.approx(checkpoint.familiarity.unfamiliarity(described)[0], rel=1e-3)
-    assert 0.0 < posterior.unfamiliarity < 1.0
-    assert bare.unfamiliarity == 0.0
+    assert posterior.ood_score == pytest.approx(checkpoint.ood_model.ood_score(described)[0], rel=1e-3)
+    assert 0.0 < posterior.ood_score < 1.0
+    assert bare.ood_score == 0.0
     np.testing.assert_array_equal(posterior.samples.as_matrix(), bare.samples.as_matrix())
     black = knowing.observe(np.zeros((40, 48, 3), np.uint8), rng=np.random.default_rng(0))
-    assert black.unfamiliarity > 1.0
+    assert black.ood_score > 1.0
 
 
 def test_what_is_familiar_comes_back_from_a_model_file_exactly(model, tmp_path):
     first = load_checkpoint(model)
     save_checkpoint(tmp_path / "again.safetensors", first)
     again = load_checkpoint(tmp_path / "again.safetensors")
-    assert first.familiarity is not None
-    assert again.familiarity is not None
-    for name, value in vars(first.familiarity).items():
-        np.testing.assert_array_equal(getattr(again.familiarity, name), value)
+    assert first.ood_model is not None
+    assert again.ood_model is not None
+    for name, value in vars(first.ood_model).items():
+        np.testing.assert_array_equal(getattr(again.ood_model, name), value)
     _, tensors = read_safetensors(model)
-    assert sum(t.nbytes for n, t in tensors.items() if n.startswith("familiarity.")) < 200_000
+    assert sum(t.nbytes for n, t in tensors.items() if n.startswith("ood_model.")) < 200_000
 
 
 DAMAGE = {
-    "missing": (lambda t: t.pop("familiarity.axes"), "lacks tensor familiarity.axes"),
-    "surplus": (lambda t: t.update({"familiarity.more": torch.zeros(1)}), "surplus tensor familiarity.more"),
-    "of another network": (lambda t: t.update({"familiarity.centre": torch.zeros(3)}), "centre has shape"),
-    "not finite": (lambda t: t["familiarity.exemplars"].fill_(torch.nan), "exemplars has values that are not finite"),
+    "missing": (lambda t: t.pop("ood_model.axes"), "lacks tensor ood_model.axes"),
+    "surplus": (lambda t: t.update({"ood_model.more": torch.zeros(1)}), "surplus tensor ood_model.more"),
+    "of another network": (lambda t: t.update({"ood_model.centre": torch.zeros(3)}), "centre has shape"),
+    "not finite": (lambda t: t["ood_model.exemplars"].fill_(torch.nan), "exemplars has values that are not finite"),
     "no exemplars": (
-        lambda t: t.update({"familiarity.exemplars": torch.zeros(0, 48)}), "exemplars has shape"
+        lambda t: t.update({"ood_model.exemplars": torch.zeros(0, 48)}), "exemplars has shape"
     ),
-    "threshold of zero": (lambda t: t["familiarity.threshold"].zero_(), "threshold 0.0, expected positive"),
-    "scale of zero": (lambda t: t["familiarity.scale"].zero_(), "scale has values that are not positive"),
+    "threshold of zero": (lambda t: t["ood_model.threshold"].zero_(), "threshold 0.0, expected positive"),
+    "scale of zero": (lambda t: t["ood_model.scale"].zero_(), "scale has values that are not positive"),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("case", DAMAGE)
-def test_a_file_with_unusable_familiarity_is_refused(model, tmp_path, case):
+def test_a_file_with_unusable_ood_model_is_refused(model, tmp_path, case):
     change, message = DAMAGE[case]
     bad = altered(model, tmp_path / "bad.safetensors", lambda tensors, _: change(tensors))
     with pytest.raises(CheckpointError, match=rf"bad\.safetensors: .*{message}"):
@@ -185,14 +185,14 @@ def test_calibrate_learns_what_is_familiar_from_training_data_and_else_from_half
 ):
     a, b = walks
     outputs = [tmp_path / f"{n}.safetensors" for n in "123"]
-    calibrate_model(str(tiny_model), [b], outputs[0], training=[a], familiarity_only=True)
-    calibrate_model(str(tiny_model), [a, b], outputs[1], familiarity_only=True)
-    taught, halved = (load_checkpoint(path).familiarity for path in outputs[:2])
+    calibrate_model(str(tiny_model), [b], outputs[0], training=[a], ood_only=True)
+    calibrate_model(str(tiny_model), [a, b], outputs[1], ood_only=True)
+    taught, halved = (load_checkpoint(path).ood_model for path in outputs[:2])
     assert taught is not None
     assert halved is not None
     np.testing.assert_array_equal(taught.exemplars, halved.exemplars)  # both of walk a
-    assert main(["calibrate", str(outputs[0]), b, "--familiarity-only", "--output", str(outputs[2])]) == 0
-    again = load_checkpoint(outputs[2]).familiarity
+    assert main(["calibrate", str(outputs[0]), b, "--ood-only", "--output", str(outputs[2])]) == 0
+    again = load_checkpoint(outputs[2]).ood_model
     assert again is not None
     np.testing.assert_array_equal(taught.exemplars, again.exemplars)
     assert again.threshold == taught.threshold  # judged by the same images again
@@ -203,15 +203,15 @@ def test_calibrate_learns_what_is_familiar_from_training_data_and_else_from_half
 def test_the_benchmark_counts_what_is_flagged_of_every_kind(model, walks, capsys):
     observer = VaporObservationModel.from_checkpoint(str(model), num_samples=1)
     rows = evaluate_flags(observer, [walks[0]], [walks[1]], every=4)
-    assert [row.kind for row in rows] == ["familiar", *FOREIGN, *CHANGED, "b.mcap"]
+    assert [row.kind for row in rows] == ["known", *OUT_OF_DISTRIBUTION, *CHANGED, "b.mcap"]
     assert {row.images for row in rows} == {15}
     by_kind = {row.kind: row for row in rows}
     assert by_kind["uniform noise"].fraction == by_kind["uniform noise"].fraction_in_a_row == 1.0
-    assert by_kind["familiar"].fraction == by_kind["b.mcap"].fraction  # the walks are alike
-    assert main(["vapor-benchmark", "familiarity", str(model), "--familiar", walks[0], "--every", "20"]) == 0
+    assert by_kind["known"].fraction == by_kind["b.mcap"].fraction  # the walks are alike
+    assert main(["vapor-benchmark", "out-of-distribution", str(model), "--known", walks[0], "--every", "20"]) == 0
     assert "upside down" in capsys.readouterr().out
 
 
 def test_a_model_that_knows_nothing_of_it_cannot_be_judged(tiny_model, walks, capsys):
-    assert main(["vapor-benchmark", "familiarity", str(tiny_model), "--familiar", walks[0]]) == 1
-    assert "the model has no familiarity" in capsys.readouterr().err
+    assert main(["vapor-benchmark", "out-of-distribution", str(tiny_model), "--known", walks[0]]) == 1
+    assert "the model has no ood_model" in capsys.readouterr().err

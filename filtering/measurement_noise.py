@@ -12,18 +12,18 @@ from filtering.unchecked import unchecked_replace
 
 Six = tuple[float, float, float, float, float, float]
 
-LEAST_SCORE, FOREIGN = 0.05, 1.0
+LEAST_SCORE, OUT_OF_DISTRIBUTION = 0.05, 1.0
 """Limits of scores: below the first, images count as equally close to the training images; above the second, an image
 is out of distribution."""
 
 
 @dataclass(frozen=True)
-class ErrorModel:
+class MeasurementNoise:
     """Errors of the poses that images give, in the camera frame, fitted on held-out images or stated.
 
     A cluster of posterior samples with covariance C stands for a place whose error has covariance Σ = spread · C +
-    diag(floor²) and the tails of a Student t distribution. Of the error's variance a fraction lasts while the view
-    stays the same, and fades as the camera moves and turns (an Ornstein-Uhlenbeck process along the path); another
+    diag(noise_floor²) and the tails of a Student t distribution. Of the error's variance a fraction lasts while the
+    view stays the same, and fades as the camera moves and turns (an Ornstein-Uhlenbeck process along the path); another
     fraction never fades; the rest is independent from image to image. So neither standing nor a higher rate adds
     certainty.
 
@@ -36,35 +36,35 @@ class ErrorModel:
     """And within this angle, radians."""
     spread: float = 1.0
     """Variance of the error over that of the cluster's samples."""
-    floor: Six = (0.05, 0.05, 0.05, 0.03, 0.03, 0.03)
+    noise_floor: Six = (0.05, 0.05, 0.05, 0.03, 0.03, 0.03)
     """Standard deviations of the error that the samples do not show."""
-    tail: float = 6.0
+    degrees_of_freedom: float = 6.0
     """Degrees of freedom of the Student t distribution; the fewer, the heavier the tails."""
     outlier_probability: float = 0.05
     """Probability that no place of an image is the true one."""
-    flat_log_density: float = -6.0
+    log_clutter_density: float = -6.0
     """Log density of poses spread evenly over the map, per m³ rad³: of the true pose of an outlier."""
     possible_fraction: float = 0.05
     """A place with this fraction of the samples counts half as possible as one with all of them. A network that learned
     from its best samples knows the possible places, but not their probabilities."""
-    lasting_fraction: float = 0.7
+    correlated_fraction: float = 0.7
     """Fraction of the error's variance that is the same for images of the same view."""
     length_m: float = 0.5
     """Distance over which that correlation falls to 1/e, and a view becomes a new one, metres."""
     length_rad: float = 0.4
     """Angle over which it does, radians."""
-    mistaken_lengths: float = 1.0
+    outlier_lengths: float = 1.0
     """Number of these lengths over which outliers are correlated: a network that takes one corridor for another does so
     along all of it. Less than 1 where outliers fade sooner than errors."""
     constant_fraction: float = 0.1
     """Fraction of the typical variance that remains however many images there are."""
-    unfamiliar_power: float = 0.0
-    """Standard deviations grow with this power of an image's score (`PosePosterior.unfamiliarity`)."""
-    unfamiliar_score: float = 0.5
+    ood_power: float = 0.0
+    """Standard deviations grow with this power of an image's score (`PosePosterior.ood_score`)."""
+    typical_ood_score: float = 0.5
     """The score of an image whose errors are as large as stated here."""
     typical_std: Six = (0.07, 0.07, 0.07, 0.04, 0.04, 0.04)
     """Standard deviations of the error of an ordinary image; places, modes and convergence are measured by them."""
-    verified: ErrorModel | None = None
+    verified: MeasurementNoise | None = None
     """Noise of the places that landmarks have verified; None without a map of landmarks."""
 
     def __post_init__(self) -> None:
@@ -73,19 +73,19 @@ class ErrorModel:
             radius_m=(1e-9, 1e9),
             radius_rad=(1e-6, 4.0),
             spread=(0.0, 1e6),
-            tail=(1.0, 1e6),
+            degrees_of_freedom=(1.0, 1e6),
             outlier_probability=(1e-9, 0.999999),
-            flat_log_density=(-1e3, 1e3),
+            log_clutter_density=(-1e3, 1e3),
             possible_fraction=(1e-9, 1e9),
-            lasting_fraction=(0.0, 0.999),
+            correlated_fraction=(0.0, 0.999),
             length_m=(1e-9, 1e9),
             length_rad=(1e-6, 1e3),
-            mistaken_lengths=(0.01, 1e3),
+            outlier_lengths=(0.01, 1e3),
             constant_fraction=(0.0, 1e3),
-            unfamiliar_power=(0.0, 3.0),
-            unfamiliar_score=(0.01, 1.0),
+            ood_power=(0.0, 3.0),
+            typical_ood_score=(0.01, 1.0),
         )
-        for name in ("floor", "typical_std"):
+        for name in ("noise_floor", "typical_std"):
             values = getattr(self, name)
             if len(values) != 6 or not all(0.0 < value < 1e9 for value in values):
                 raise VaporTrackError(f"{name} is {values}, expected six positive numbers: metres, then radians")
@@ -94,17 +94,17 @@ class ErrorModel:
 
     def covariance(self, samples: Float64[np.ndarray, "k 6 6"]) -> Float64[np.ndarray, "k 6 6"]:
         """Covariances Σ of the errors of clusters with these covariances of samples."""
-        return self.spread * samples + np.diag(np.square(self.floor))
+        return self.spread * samples + np.diag(np.square(self.noise_floor))
 
-    def growth(self, unfamiliarity: float) -> float:
+    def growth(self, ood_score: float) -> float:
         """Factor of the variances of an image with this score; 0 is no score."""
-        if unfamiliarity == 0.0:
+        if ood_score == 0.0:
             return 1.0
-        score = min(max(unfamiliarity, LEAST_SCORE), FOREIGN)
-        return float((score / self.unfamiliar_score) ** (2.0 * self.unfamiliar_power))
+        score = min(max(ood_score, LEAST_SCORE), OUT_OF_DISTRIBUTION)
+        return float((score / self.typical_ood_score) ** (2.0 * self.ood_power))
 
     @property
-    def finest(self) -> ErrorModel:
+    def finest(self) -> MeasurementNoise:
         """Noise of the most exact places: verified ones where there is a map of landmarks."""
         return self.verified or self
 
@@ -127,30 +127,30 @@ class ErrorModel:
     @property
     def map_size_m(self) -> float:
         """Edge of a cube of the same volume as the map, metres, if all orientations occur."""
-        return float(np.exp(-self.flat_log_density) / (8.0 * np.pi**2)) ** (1.0 / 3.0)
+        return float(np.exp(-self.log_clutter_density) / (8.0 * np.pi**2)) ** (1.0 / 3.0)
 
-    def inflated(self, factor: float) -> ErrorModel:
+    def inflated(self, factor: float) -> MeasurementNoise:
         """The same with variances times a factor."""
         if factor == 1.0:
             return self
         root = float(np.sqrt(factor))
-        floor = tuple(root * value for value in self.floor)
+        noise_floor = tuple(root * value for value in self.noise_floor)
         typical = tuple(root * value for value in self.typical_std)
-        return unchecked_replace(self, spread=factor * self.spread, floor=floor, typical_std=typical)
+        return unchecked_replace(self, spread=factor * self.spread, noise_floor=noise_floor, typical_std=typical)
 
-    def scaled(self, factor: float) -> ErrorModel:
+    def scaled(self, factor: float) -> MeasurementNoise:
         """The same in a map whose lengths are multiplied by a factor."""
         lengths = (factor,) * 3 + (1.0,) * 3
-        floor, typical = (
+        noise_floor, typical = (
             tuple(value * length for value, length in zip(values, lengths, strict=True))
-            for values in (self.floor, self.typical_std)
+            for values in (self.noise_floor, self.typical_std)
         )
         return replace(
             self,
             radius_m=factor * self.radius_m,
-            floor=floor,
+            noise_floor=noise_floor,
             typical_std=typical,
             length_m=factor * self.length_m,
-            flat_log_density=self.flat_log_density - 3.0 * float(np.log(factor)),
+            log_clutter_density=self.log_clutter_density - 3.0 * float(np.log(factor)),
             verified=None if self.verified is None else self.verified.scaled(factor),
         )

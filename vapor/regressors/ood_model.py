@@ -13,7 +13,7 @@ from vapor.regressors.network_config import Backbone, stage_channels
 
 LEAST_IMAGES = 50
 QUANTILE = 0.995
-"""Fraction of images that are no further from the training images than counts as familiar."""
+"""Fraction of images that are no further from the training images than counts as in distribution."""
 CHROMA_EDGES = (-0.1, -0.05, -0.03, -0.015, 0.0, 0.015, 0.03, 0.05, 0.1)
 """Bounds between kinds of colours."""
 CHROMA = 2 * (len(CHROMA_EDGES) + 1)
@@ -21,8 +21,8 @@ CHROMA = 2 * (len(CHROMA_EDGES) + 1)
 
 
 @dataclass(frozen=True)
-class Familiarity:
-    """Descriptions of the training images of a network, and the distance from which on an image is foreign.
+class OodModel:
+    """Descriptions of the training images of a network, and the distance from which on an image is out of distribution.
 
     An image is described by d numbers (`Describer`). Less the mean and in units of `scale`, they are projected on p
     principal axes, and stretched. The distance of two images is Euclidean there; the residual of an image beside the
@@ -35,7 +35,8 @@ class Familiarity:
         stretch: Factor of each axis; the last one is also that of the residual.
         exemplars: n training images on the stretched axes.
         own_distance: One training image in 200 is further from all those of other segments of the training data.
-        threshold: Distance from which on an image is foreign: the former, or the same of held-out images if larger.
+        threshold: Distance from which on an image is out of distribution: the former, or the same of held-out images
+            if larger.
     """
 
     centre: Float32[np.ndarray, " d"]
@@ -49,18 +50,19 @@ class Familiarity:
     def __post_init__(self) -> None:
         if not (0.0 < self.own_distance <= self.threshold < np.inf):
             raise VaporTrackError(
-                f"familiarity: own_distance {self.own_distance} and threshold {self.threshold}, expected positive"
+                f"ood_model: own_distance {self.own_distance} and threshold {self.threshold}, expected positive"
                 " numbers, the latter no less than the former"
             )
         for name in ("scale", "stretch"):
             if not (getattr(self, name) > 0.0).all():
-                raise VaporTrackError(f"familiarity: {name} has values that are not positive")
+                raise VaporTrackError(f"ood_model: {name} has values that are not positive")
 
-    def unfamiliarity(self, descriptions: Float32[np.ndarray, "m d"]) -> Float64[np.ndarray, " m"]:
-        """Score of images with these descriptions: 0 an image trained on, 1 at the threshold, above it foreign."""
+    def ood_score(self, descriptions: Float32[np.ndarray, "m d"]) -> Float64[np.ndarray, " m"]:
+        """Score of images with these descriptions: 0 an image trained on, 1 at the threshold, above it out of
+        distribution."""
         return self._distances(descriptions).min(axis=1) / self.threshold
 
-    def with_threshold_of(self, held_out: Float32[np.ndarray, "m d"]) -> Familiarity:
+    def with_threshold_of(self, held_out: Float32[np.ndarray, "m d"]) -> OodModel:
         """The same with the threshold that descriptions of held-out images ask for; the training's own if too few."""
         if len(held_out) < LEAST_IMAGES:
             return replace(self, threshold=self.own_distance)

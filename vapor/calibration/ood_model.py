@@ -1,4 +1,4 @@
-"""Familiarity of images to a network, learned from its training images."""
+"""OodModel of images to a network, learned from its training images."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from jaxtyping import Float32, Int64
 from vapor.images import centre_crop
 from vapor.regressors.backbones import Describer
 from vapor.regressors.base import PoseRegressor
-from vapor.regressors.familiarity import CHROMA, LEAST_IMAGES, QUANTILE, Familiarity, description_size
+from vapor.regressors.ood_model import CHROMA, LEAST_IMAGES, QUANTILE, OodModel, description_size
 from vapor.training_data.training_set import TrainingSet
 
 EXEMPLARS = 1000
@@ -39,8 +39,8 @@ def extract_features(network: PoseRegressor, images: TrainingSet) -> Float32[np.
     return found
 
 
-def learn_familiarity(network: PoseRegressor, training: TrainingSet, held_out: TrainingSet) -> Familiarity | None:
-    """Familiarity of at most `EXEMPLARS` training images in order of time; None with fewer than 50.
+def learn_ood_model(network: PoseRegressor, training: TrainingSet, held_out: TrainingSet) -> OodModel | None:
+    """OodModel of at most `EXEMPLARS` training images in order of time; None with fewer than 50.
 
     The threshold is that of other images of the place, if there are 50.
     """
@@ -49,12 +49,12 @@ def learn_familiarity(network: PoseRegressor, training: TrainingSet, held_out: T
     segment = training.sequence
     if len(np.unique(segment)) < _FEW_SEQUENCES:
         segment = np.arange(len(training)) * _BLOCKS // len(training)
-    familiarity = fit_familiarity(extract_features(network, training), segment)
-    return familiarity.with_threshold_of(extract_features(network, held_out))
+    ood_model = fit_ood_model(extract_features(network, training), segment)
+    return ood_model.with_threshold_of(extract_features(network, held_out))
 
 
-def fit_familiarity(features: Float32[np.ndarray, "n d"], segment: Int64[np.ndarray, " n"]) -> Familiarity:
-    """Familiarity from features of n training images, each from one of several segments of the data."""
+def fit_ood_model(features: Float32[np.ndarray, "n d"], segment: Int64[np.ndarray, " n"]) -> OodModel:
+    """OodModel from features of n training images, each from one of several segments of the data."""
     centre, spread = features.mean(axis=0), features.std(axis=0)
     spread = np.maximum(spread, 1e-3 * spread.mean() + 1e-6)
     backbone, chroma = features.shape[1] - CHROMA, CHROMA
@@ -67,11 +67,11 @@ def fit_familiarity(features: Float32[np.ndarray, "n d"], segment: Int64[np.ndar
     axes = _as_stored(axes)
     stretch = ((variance / variance[0]) ** (-_FLATTEN / 2)).astype(np.float32)
     exemplars = _as_stored(((features - centre) / scale) @ axes * stretch)
-    fitted = Familiarity(centre, scale, axes, stretch, exemplars, 1.0, 1.0)
+    fitted = OodModel(centre, scale, axes, stretch, exemplars, 1.0, 1.0)
     own = np.empty(len(features))
     for number in np.unique(segment):
         of_others = replace(fitted, exemplars=exemplars[segment != number])
-        own[segment == number] = of_others.unfamiliarity(features[segment == number])
+        own[segment == number] = of_others.ood_score(features[segment == number])
     distance = max(float(np.quantile(own, QUANTILE)), 1e-6)
     return replace(fitted, own_distance=distance, threshold=distance)
 

@@ -1,4 +1,4 @@
-"""Floors of a building: which one a pose is on, and how a belief is spread over them."""
+"""Storeys of a building: which one a pose is on, and how a belief is spread over them."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ _LEAST_APART_M, _MOST_APART_M = 1.8, 8.0  # less is no storey; a higher one is c
 _LEAST_ABOVE = 0.02  # of the cells of a plan must have something above them
 _BINS = 12  # of the histogram of heights, a storey
 _CELL_M, _MOST_CELLS = 0.5, 50  # of a plan: side of a cell, and how many there are along its longer side at most
-_ON_FLOOR = 0.1  # of a storey: where the median position is further from a floor, most are on stairs
+_ON_STOREY = 0.1  # of a storey: where the median position is further from a storey, most are on stairs
 _TAILS = (0.005, 0.995)  # quantiles of heights: samples of a network may lie anywhere
 _UPWARD = 0.2  # how much rather z is taken for up than another axis
 
 
 @dataclass(frozen=True)
-class Floors:
-    """The floors of a building by their heights; stairs belong to the floor on their side of a cut.
+class Storeys:
+    """The storeys of a building by their heights; stairs belong to the storey on their side of a cut.
 
     Attributes:
-        heights_m: Of cameras on each floor, along `up`, metres, from the lowest floor up, (f,).
+        heights_m: Of cameras on each storey, along `up`, metres, from the lowest storey up, (f,).
         up: Unit vector in the world.
-        cuts_m: Heights between one floor and the next, (f - 1,); empty for halfway.
+        cuts_m: Heights between one storey and the next, (f - 1,); empty for halfway.
     """
 
     heights_m: tuple[float, ...]
@@ -49,11 +49,11 @@ class Floors:
             raise VaporTrackError(f"up is {self.up}, expected a unit vector")
 
     @staticmethod
-    def found_in(poses: Poses) -> Floors | None:
-        """The floors that poses lie on, such as those of training images; None where there is one only.
+    def found_in(poses: Poses) -> Storeys | None:
+        """The storeys that poses lie on, such as those of training images; None where there is one only.
 
-        Floors are where poses lie above each other by 1.8 m and more, see `find_floors`; up is an axis of the world.
-        Where most poses are between floors, as on stairs, all storeys are as high as most, from the lowest pose up,
+        Storeys are where poses lie above each other by 1.8 m and more, see `find_storeys`; up is an axis of the world.
+        Where most poses are between storeys, as on stairs, all storeys are as high as most, from the lowest pose up,
         and cut where the fewest poses are: not at a half landing.
 
         Args:
@@ -66,27 +66,27 @@ class Floors:
         plan = plan - plan.min(axis=0)
         cells = np.floor(plan / max(_CELL_M, float(plan.max()) / _MOST_CELLS)).astype(np.int64)
         cells = cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1]
-        label, count = find_floors(heights_m, cells)
+        label, count = find_storeys(heights_m, cells)
         if count == 1:
             return None
         on_it = [heights_m[label == number] for number in range(count)]
         found_m = np.array([np.median(each) for each in on_it])
         cuts_m = np.array([(below.max() + above.min()) / 2.0 for below, above in pairwise(on_it)])
         apart_m = float(np.median(_apart(heights_m, cells)))
-        if np.median(np.abs(heights_m - found_m[label])) > _ON_FLOOR * apart_m:
+        if np.median(np.abs(heights_m - found_m[label])) > _ON_STOREY * apart_m:
             low_m, high_m = np.quantile(heights_m, _TAILS)
             found_m = low_m + apart_m * np.arange(round((high_m - low_m) / apart_m) + 1)
             cuts_m = found_m[:-1] + apart_m * _emptiest((heights_m - low_m) / apart_m, cells)
         x, y, z = up.tolist()
         heights, cuts = (tuple(np.round(each, 3).tolist()) for each in (found_m, cuts_m))
-        return None if len(found_m) < 2 else Floors(heights, (x, y, z), cuts)
+        return None if len(found_m) < 2 else Storeys(heights, (x, y, z), cuts)
 
     def of(self, poses: Poses) -> Int64[np.ndarray, "*n"]:
-        """The floor of each pose (any batch), from 0 for the lowest."""
+        """The storey of each pose (any batch), from 0 for the lowest."""
         return np.searchsorted(self.cuts_m, poses.translation @ np.array(self.up)).astype(np.int64)
 
     def belief(self, estimate: Estimate) -> Float64[np.ndarray, " f"]:
-        """How much of a belief is on each floor: the weights of its particles, 1 in all."""
+        """How much of a belief is on each storey: the weights of its particles, 1 in all."""
         weights = np.exp(estimate.log_weights)
         return np.bincount(self.of(estimate.particles), weights, minlength=len(self.heights_m)) / weights.sum()
 
@@ -114,17 +114,17 @@ def _emptiest(storeys: Float64[np.ndarray, " n"], cells: Int64[np.ndarray, " n"]
     bins = np.floor(storeys % 1.0 * 2 * _BINS).astype(np.int64) % (2 * _BINS)
     counts = np.bincount(np.unique(np.column_stack([bins, cells]), axis=0)[:, 0], minlength=2 * _BINS)
     smooth = counts + (np.roll(counts, 1) + np.roll(counts, -1)) / 2.0
-    between = slice(_BINS // 3, -(_BINS // 3))  # not at the floors themselves
+    between = slice(_BINS // 3, -(_BINS // 3))  # not at the storeys themselves
     return (_BINS // 3 + int(np.argmin(smooth[between])) + 0.5) / (2 * _BINS)
 
 
-def find_floors(
+def find_storeys(
     heights_m: Float64[np.ndarray, " n"], cells: Int64[np.ndarray, " n"]
 ) -> tuple[Int64[np.ndarray, " n"], int]:
-    """Which floor each of n positions is on, from 0 at the bottom, and how many floors there are.
+    """Which storey each of n positions is on, from 0 at the bottom, and how many storeys there are.
 
-    Floors are where positions lie above each other by 1.8 m and more; they are cut where the fewest positions are.
-    Stairs go to the floor that is nearer.
+    Storeys are where positions lie above each other by 1.8 m and more; they are cut where the fewest positions are.
+    Stairs go to the storey that is nearer.
 
     Args:
         heights_m: Heights of the positions, metres.
@@ -151,8 +151,8 @@ def find_floors(
     for low_bin, high_bin in pairwise(peaks.tolist()):
         between = smooth[low_bin:high_bin]
         cuts.append(low_bin + int(np.median(np.flatnonzero(between <= between.min() + 0.05 * between.max()))))
-    floor = np.searchsorted(cuts, bins, side="left")
-    return np.unique(floor, return_inverse=True)[1].astype(np.int64), len(np.unique(floor))
+    storey = np.searchsorted(cuts, bins, side="left")
+    return np.unique(storey, return_inverse=True)[1].astype(np.int64), len(np.unique(storey))
 
 
 def peaks_of(values: Float64[np.ndarray, " n"], apart: int) -> Int64[np.ndarray, " p"]:

@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
 
-from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError
+from filtering.measurement_noise import MeasurementNoise
 
 
-def test_an_error_is_as_wide_as_the_samples_times_the_spread_and_the_floor_together():
-    model = ErrorModel(spread=4.0, floor=(0.1, 0.2, 0.3, 0.01, 0.02, 0.03))
+def test_an_error_is_as_wide_as_the_samples_times_the_spread_and_the_storey_together():
+    model = MeasurementNoise(spread=4.0, noise_floor=(0.1, 0.2, 0.3, 0.01, 0.02, 0.03))
     samples = np.diag([0.25, 0.5, 0.0, 1.0, 0.0, 0.0])[None]
     samples[0, 0, 1] = samples[0, 1, 0] = 0.1
     covariance = model.covariance(samples)[0]
@@ -15,14 +15,14 @@ def test_an_error_is_as_wide_as_the_samples_times_the_spread_and_the_floor_toget
 
 
 def test_what_no_number_of_images_takes_away_is_a_share_of_an_ordinary_images_error():
-    model = ErrorModel(constant_fraction=0.25, typical_std=(0.1, 0.2, 0.4, 0.01, 0.02, 0.04))
+    model = MeasurementNoise(constant_fraction=0.25, typical_std=(0.1, 0.2, 0.4, 0.01, 0.02, 0.04))
     np.testing.assert_allclose(
         np.sqrt(np.diag(model.constant_covariance(np.zeros((6, 6))))), [0.05, 0.1, 0.2, 0.005, 0.01, 0.02]
     )
 
 
 def test_the_variances_of_an_image_grow_with_twice_the_power_of_its_score():
-    model = ErrorModel(unfamiliar_power=1.5, unfamiliar_score=0.4)
+    model = MeasurementNoise(ood_power=1.5, typical_ood_score=0.4)
     assert model.growth(0.4) == 1.0
     assert model.growth(0.8) == pytest.approx(8.0)
     assert model.growth(0.2) == pytest.approx(1 / 8)
@@ -33,40 +33,40 @@ def test_the_variances_of_an_image_grow_with_twice_the_power_of_its_score():
 
 @pytest.mark.parametrize("score", [0.0, 0.3, 1.0, 50.0])
 def test_without_a_power_every_image_errs_alike(score):
-    assert ErrorModel(unfamiliar_score=0.3).growth(score) == 1.0
+    assert MeasurementNoise(typical_ood_score=0.3).growth(score) == 1.0
 
 
 def test_scaling_lengths_scales_lengths_and_the_flat_density_and_nothing_else():
-    model, factor = ErrorModel(), 30.0
+    model, factor = MeasurementNoise(), 30.0
     scaled = model.scaled(factor)
     assert (scaled.radius_m, scaled.length_m) == (pytest.approx(9.0), pytest.approx(15.0))
-    np.testing.assert_allclose(scaled.floor, [1.5] * 3 + [0.03] * 3)
+    np.testing.assert_allclose(scaled.noise_floor, [1.5] * 3 + [0.03] * 3)
     np.testing.assert_allclose(scaled.typical_std, [2.1] * 3 + [0.04] * 3)
     # One cubic metre holds 1/30³ of what it did.
-    assert np.exp(scaled.flat_log_density) == pytest.approx(np.exp(model.flat_log_density) / factor**3)
+    assert np.exp(scaled.log_clutter_density) == pytest.approx(np.exp(model.log_clutter_density) / factor**3)
     same = (
         "radius_rad",
         "spread",
-        "tail",
+        "degrees_of_freedom",
         "outlier_probability",
         "possible_fraction",
-        "lasting_fraction",
+        "correlated_fraction",
         "length_rad",
     )
-    same = (*same, "constant_fraction", "unfamiliar_power", "unfamiliar_score")
+    same = (*same, "constant_fraction", "ood_power", "typical_ood_score")
     assert all(getattr(scaled, name) == getattr(model, name) for name in same)
 
 
 def test_scaling_there_and_back_is_the_model_itself():
-    model = ErrorModel(verified=ErrorModel(floor=(0.01, 0.01, 0.02, 0.001, 0.001, 0.001)))
+    model = MeasurementNoise(verified=MeasurementNoise(noise_floor=(0.01, 0.01, 0.02, 0.001, 0.001, 0.001)))
     back = model.scaled(1000.0).scaled(1e-3)
     for after, before in ((back, model), (back.verified, model.verified)):
         for name in vars(before).keys() - {"verified"}:
             np.testing.assert_allclose(getattr(after, name), getattr(before, name), rtol=1e-12)
 
 
-@pytest.mark.parametrize("name", ["floor", "typical_std"])
+@pytest.mark.parametrize("name", ["noise_floor", "typical_std"])
 @pytest.mark.parametrize("bad", [0.0, -0.1, float("nan"), float("inf")])
 def test_standard_deviations_that_are_none_are_refused(name, bad):
     with pytest.raises(VaporTrackError, match=rf"^{name} is .*, expected six positive numbers"):
-        ErrorModel(**{name: (0.1, 0.1, bad, 0.1, 0.1, 0.1)})
+        MeasurementNoise(**{name: (0.1, 0.1, bad, 0.1, 0.1, 0.1)})
