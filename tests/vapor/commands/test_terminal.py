@@ -22,7 +22,7 @@ from tests.helpers.command_line import main
 from tests.helpers.simulated_run import simulated_steps
 from vapor.benchmark.commands.cells import new_table
 from vapor.commands import console
-from vapor.commands.terminal import Signals, say
+from vapor.commands.terminal import Signals
 from vapor.pipeline.batch import Outcome, format_batch
 from vapor.reporting.report import format_table
 from vapor.tracking.methods import METHODS
