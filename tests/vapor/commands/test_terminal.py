@@ -22,7 +22,7 @@ from tests.helpers.command_line import main
 from tests.helpers.simulated_run import simulated_steps
 from vapor.benchmark.commands.cells import new_table
 from vapor.commands import console
-from vapor.commands.terminal import Signals
+from vapor.commands.terminal import Signals, write_error
 from vapor.pipeline.batch import Outcome, format_batch
 from vapor.reporting.report import format_table
 from vapor.tracking.methods import METHODS
@@ -240,7 +240,7 @@ def test_messages_are_shortened_where_their_words_are_longest_and_else_stay_whol
     assert len(shortened(" ".join([token] * 20))) == MAX_MESSAGE
     fits = ("reason " * MAX_MESSAGE)[:MAX_MESSAGE]
     assert shortened(fits) == fits
-    say(f"two\nlines {token}")
+    write_error(f"two\nlines {token}")
     err = capsys.readouterr().err
     assert (err.count("\n"), len(err)) == (1, LONG_MESSAGE + 1)
 
