@@ -228,12 +228,6 @@ def rotation_from_quat_xyzw(quat_xyzw: Float64[np.ndarray, "*batch 4"]) -> Float
     return flat.reshape(*quat_xyzw.shape[:-1], 3, 3)
 
 
-def rotation_from_rotvec(rotvec: Float64[np.ndarray, "*batch 3"]) -> Float64[np.ndarray, "*batch 3 3"]:
-    """Rotation matrices of rotation vectors, radians."""
-    a, b, _ = _exp_coefficients(_dot(rotvec, rotvec))
-    return _rodrigues(rotvec, a, b)
-
-
 def rotvec_from_rotation(rotation: Float64[np.ndarray, "*batch 3 3"]) -> Float64[np.ndarray, "*batch 3"]:
     """Rotation vectors of rotation matrices, with angles up to π."""
     # Half of R − Rᵀ is sin θ times the axis: exact and fast except near π, where it vanishes.

@@ -126,4 +126,4 @@ def _page(o: Options, report: Mapping[str, Any], command: str) -> Page:
     truth = "the true poses beside them" if o.ground_truth is None else o.ground_truth.name
     asked = f"{report['frames']} images, {report['frames_with_true_pose']} with a true pose, against {truth}"
     table = format_table(report, title="Errors, without any alignment")
-    return findings_page(o.directory.name, asked, filter_sentence(report), [("How good", [table])], command=command)
+    return findings_page(o.directory.name, asked, filter_sentence(report), [("Errors", [table])], command=command)

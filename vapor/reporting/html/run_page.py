@@ -123,22 +123,22 @@ def filter_sentence(report: Mapping[str, Any]) -> str:
 
 
 def _sections(record: RunRecord, report: Mapping[str, Any], settings: Mapping[str, Any], command: str) -> list[Block]:
-    sections = [section("Where it was", [run_scene(record)])]
+    sections = [section("Trajectory and belief", [run_scene(record)])]
     over_time: list[Block] = [status_strip(record)]
     if (errors := error_plot(record)) is not None:
         columns, rows = method_table(report)
         ours = [number for number, row in enumerate(rows) if row[0] == METHODS["filter"].label]
         caption = "Errors, and the fraction of images within both limits; no trajectory was aligned"
-        sections.append(section("How good", [table(columns, rows, caption, ours)]))
+        sections.append(section("Errors", [table(columns, rows, caption, ours)]))
         over_time.append(errors)
     sections.append(section("Over time", [*over_time, belief_plot(record)]))
     if record.verified is not None:
         sections.append(section("Landmarks", _landmarks(record, record.verified)))
     if (trust := _trust(report)) is not None:
-        sections.append(section("Is its confidence true", trust))
+        sections.append(section("Calibration of the uncertainty", trust))
     if report.get("storeys") is not None:
-        sections.append(section("Which storey", _storeys(report["storeys"])))
-    sections.append(section("What was used", [_counts(report)]))
+        sections.append(section("Storeys", _storeys(report["storeys"])))
+    sections.append(section("Inputs and resources", [_counts(report)]))
     blocks = [code(command)] if command else []
     versions = settings.get("versions", {})
     rows = [(name, str(version)) for name, version in versions.items()]
@@ -183,7 +183,7 @@ def _trust(report: Mapping[str, Any]) -> list[Block] | None:
         (f"wrong: not {_WITHIN}", f"{100 * consistency['wrong']:.1f} %", "0 %"),
     ]
     return [
-        table(("", "is", "true"), rows, f"Of the {images} images that it called converged"),
+        table(("", "measured", "expected"), rows, f"Of the {images} converged images"),
         paragraph(
             "A region is the smallest part of the stated Gaussian with that probability. NEES, the normalised "
             "estimation error squared, is larger than 5.35 where errors are larger than stated."
