@@ -3,8 +3,9 @@ import itertools
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from filtering.se3 import Poses, rotation_from_rotvec
+from filtering.se3 import Poses
 from sequences.synthesize import synthesize, write_synthetic
 from tests.helpers.pages import entities_of
 from tests.helpers.tiny_model import write_tiny_model
@@ -16,7 +17,7 @@ LEVEL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # a cam
 
 
 def about(axis: list[float], degrees: float) -> np.ndarray:
-    return rotation_from_rotvec(np.radians(degrees) * np.array([axis], float))[0]
+    return Rotation.from_rotvec(np.radians(degrees) * np.array(axis, float)).as_matrix()
 
 
 @pytest.mark.parametrize(("heading", "pitch"), [(0.0, 0.0), (70.0, 20.0), (-130.0, -45.0)])
