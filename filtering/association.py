@@ -15,13 +15,13 @@ from jaxtyping import Bool, Float64, Int64
 from scipy.special import gammaln
 
 from filtering.hypotheses import POSE, Hypotheses, blocks, concatenate, correlated_error
-from filtering.measurement import Expected, Measurement, expect, kalman_update
+from filtering.measurement import Measurement, PredictedMeasurement, kalman_update, predict_measurement
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 
 Of = TypeVar("Of")
 
-_GATE = 36.0  # squared, in standard deviations: pairs further apart are left out
+_GATE = 36.0  # times the summed variances of position, and of rotation: a coarse gate before any Mahalanobis distance
 PLACE = 3.0
 """Standard deviations of the error: finer details do not distinguish places."""
 _LEAST = 1e-3  # fraction of a hypothesis that goes on as one of its own
@@ -35,7 +35,7 @@ class Pairs(NamedTuple):
         hypothesis, place: Indices, (p,).
         difference: Of the place from the hypothesis, in the tangent at it, (p, 6).
         measurement: The place as a measurement of the hypothesis's state.
-        expected: Its expectation by the hypothesis.
+        predicted: The measurement as the hypothesis predicts it.
         squared: Squared Mahalanobis distance by the ordinary error, (p,).
         log_density: Of the place, as the hypothesis expects it, (p,).
     """
@@ -44,7 +44,7 @@ class Pairs(NamedTuple):
     place: Int64[np.ndarray, " p"]
     difference: Float64[np.ndarray, "p 6"]
     measurement: Measurement
-    expected: Expected
+    predicted: PredictedMeasurement
     squared: Float64[np.ndarray, " p"]
     log_density: Float64[np.ndarray, " p"]
 
@@ -91,7 +91,10 @@ def gate(belief: Hypotheses, posterior: PosePosterior, correlations: Sequence[Co
 
 
 def evidence(belief: Hypotheses, posterior: PosePosterior, pairs: Sequence[Pairs]) -> Evidence:
-    """Which place: a hypothesis is as possible as the places near it."""
+    """Which place: a hypothesis is as possible as the places near it.
+
+    The network's posterior serves as a likelihood: the training images count as spread evenly over the map.
+    """
     hypothesis, place, squared = (_joined(pairs, name) for name in ("hypothesis", "place", "squared"))
     near = posterior.support[place] * np.exp(-0.5 * squared / PLACE**2)
     support = np.bincount(hypothesis, near, minlength=len(belief))
@@ -162,7 +165,7 @@ def pair(
     noise = (1.0 - errors.correlated_fraction) * posterior.covariances[place]
     innovation = difference - (factor @ correlated[:, :, None])[:, :, 0]
     jacobian = ((POSE, None), (own, factor))
-    cross, information = expect(belief.covariance, hypothesis, jacobian, noise)
+    cross, information = predict_measurement(belief.covariance, hypothesis, jacobian, noise)
     squared = np.maximum(np.vecdot(innovation, (information @ innovation[:, :, None])[:, :, 0]), 0.0)
     log_det = -np.linalg.slogdet(information)[1]
     nu = errors.degrees_of_freedom
@@ -174,11 +177,13 @@ def pair(
     if len(far):
         # Errors that are correlated over a distance of 2 are worth one image: those of an Ornstein-Uhlenbeck process.
         lasts = max(1.0, 2.0 / max(correlation.normalized_distance, 1e-6))
-        innovation[far], factor[far] = difference[far], 0.0
+        innovation[far], factor[far] = difference[far], 0.0  # in `jacobian`, too
         noise[far] = larger[far, None, None] * lasts * posterior.covariances[place[far]]
-        cross[far], information[far] = expect(belief.covariance, hypothesis[far], jacobian[:1], noise[far])
+        cross[far], information[far] = predict_measurement(belief.covariance, hypothesis[far], jacobian[:1], noise[far])
     measurement = Measurement(innovation, jacobian, noise)
-    return Pairs(hypothesis, place, difference, measurement, Expected(cross, information), squared, log_density)
+    return Pairs(
+        hypothesis, place, difference, measurement, PredictedMeasurement(cross, information), squared, log_density
+    )
 
 
 def corrected_poses(
@@ -196,7 +201,7 @@ def corrected_poses(
         taken: Indices of c pairs.
         change: The correction of each, in the tangent at its pose.
     """
-    difference, information = pairs.difference[taken], pairs.expected.information[taken]
+    difference, information = pairs.difference[taken], pairs.predicted.innovation_precision[taken]
     before, seen = poses[pairs.hypothesis[taken]], places[pairs.place[taken]]
     left = change - difference
     left_squared, squared = (np.einsum("ni,nij,nj->n", each, information, each) for each in (left, change))
@@ -232,7 +237,7 @@ def _corrected(
     """The hypotheses of some pairs, each corrected by its place, with its fraction of the weight."""
     parent = pairs.hypothesis[taken]
     change, covariance = kalman_update(
-        belief.covariance, parent, _taken(pairs.measurement, taken), _taken(pairs.expected, taken)
+        belief.covariance, parent, _taken(pairs.measurement, taken), _taken(pairs.predicted, taken)
     )
     poses = corrected_poses(belief.poses, places, pairs, taken, change[:, POSE])
     return Hypotheses(poses, belief.mean[parent] + change[:, 6:], covariance, belief.log_weights[parent] + log_fraction)

@@ -18,7 +18,7 @@ class Belief:
     """The state of the filter; a step makes another one of it.
 
     Attributes:
-        random: Source of random draws. Nothing is drawn from it, but from a copy that the next belief keeps.
+        rng: Source of random draws. Nothing is drawn from it, but from a copy that the next belief keeps.
         hypotheses: Where the camera may be; None before the first image.
         cameras: The memory of each camera, by its name.
         best: The best mode of the last estimate, moved by odometry since, one pose; None before the first.
@@ -29,7 +29,7 @@ class Belief:
         normalized_distance: Of the first camera since the last image, in lengths over which its errors are correlated.
     """
 
-    random: np.random.Generator
+    rng: np.random.Generator
     hypotheses: Hypotheses | None = None
     cameras: Mapping[str, CameraMemory] = field(default_factory=dict)
     best: Poses | None = None
@@ -41,7 +41,7 @@ class Belief:
 
     def forgotten(self) -> Belief:
         """An empty belief with the same source of random draws."""
-        return Belief(self.random)
+        return Belief(self.rng)
 
     def with_camera(self, name: str, camera: CameraMemory) -> Belief:
         """The same with the memory of one camera replaced."""

@@ -22,7 +22,10 @@ def at_a_rate(belief: Belief, novelty: float, agreement: float, config: Localize
 
 
 def augmented_mcl(belief: Belief, novelty: float, agreement: float, config: LocalizerConfig) -> float:
-    """As in augmented Monte Carlo localization: only while images agree with the belief less than usual."""
+    """As in augmented Monte Carlo localization: only while images agree with the belief less than usual.
+
+    The averages are those before this image.
+    """
     return max(0.0, 1.0 - belief.agreement / max(belief.usual_agreement, 1e-9))
 
 

@@ -76,8 +76,8 @@ class KalmanLocalizer:
             The one hypothesis, weight 1, with the constant errors added.
 
         Raises:
-            VaporTrackError: the odometry is none (`require_odometry`), the elapsed time is negative, or the posterior
-                has no place at a first step. The localizer is then as it was before.
+            VaporTrackError: the odometry is invalid (`require_odometry`), the elapsed time is negative, or the
+                posterior has no place at a first step. The localizer is then as it was before.
         """
         if odom is not None:
             require_odometry(odom)
@@ -145,8 +145,9 @@ class KalmanLocalizer:
         self._rejected_s = None
 
     def _predict(self, pose: Poses, odom: Odometry | None, elapsed_s: float) -> None:
+        bias = self.config.odometry_bias
         if odom is None:
-            gap = self.config.gap
+            gap, bias = self.config.gap, bias.without_drift
             likely = gap.speed_m_per_s * elapsed_s, gap.turn_rad_per_s * elapsed_s
             after = [source.across_gap(*likely) for source in self._sources]
             self._filter.P = inflate(self._hypothesis(pose), gap.covariance(elapsed_s)).covariance[0]
@@ -154,7 +155,7 @@ class KalmanLocalizer:
         else:
             after = [source.predict(odom, odom) for source in self._sources]
         self._sources = tuple(source for source, _ in after)
-        transition, noise = motion_of_state(odom, self.config.odometry_bias, [moved for _, moved in after])
+        transition, noise = motion_of_state(odom, bias, [moved for _, moved in after])
         self._filter.predict(F=transition, Q=noise)
         settle(self._filter.P)
         self._fold((pose @ odom.previous_from_current).orthonormal())

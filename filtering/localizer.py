@@ -98,8 +98,8 @@ class ParticleLocalizer:
             elapsed_s: Seconds since the previous step; used where `odom` is None.
 
         Raises:
-            VaporTrackError: the odometry is none (`require_odometry`), the elapsed time is negative, two views are of
-                one camera, or no posterior has any place at a first step. The localizer is then as it was before.
+            VaporTrackError: the odometry is invalid (`require_odometry`), the elapsed time is negative, two views are
+                of one camera, or no posterior has any place at a first step. The localizer is then as it was before.
         """
         views = [View(seen, Poses.identity(), _ONLY)] if isinstance(seen, PosePosterior) else list(seen)
         names = [view.camera for view in views]
@@ -118,7 +118,7 @@ class ParticleLocalizer:
             elapsed_s: Seconds since the previous step; used where `odom` is None.
 
         Raises:
-            VaporTrackError: there is no belief yet, or the odometry is none (`require_odometry`).
+            VaporTrackError: there is no belief yet, or the odometry is invalid (`require_odometry`).
         """
         self.belief, estimate = self._later(odom, elapsed_s)
         return estimate
@@ -147,7 +147,7 @@ class ParticleLocalizer:
             errors: Noise of the images to come.
 
         Raises:
-            VaporTrackError: the pose or its covariance is none. The localizer is then as it was before.
+            VaporTrackError: the pose or its covariance is invalid. The localizer is then as it was before.
         """
         pose = Poses.stack([world_from_camera])
         stated = PosePosterior(pose, np.asarray(covariance, np.float64)[None], np.ones(1), errors, pose)

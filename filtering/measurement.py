@@ -33,22 +33,22 @@ class Measurement(NamedTuple):
     noise: Float64[np.ndarray, "p k k"]
 
 
-class Expected(NamedTuple):
-    """The expectation of p measurements by their hypotheses.
+class PredictedMeasurement(NamedTuple):
+    """Measurements as their p hypotheses predict them.
 
     Attributes:
-        cross: Covariance of state and innovation, P Jᵀ, (p, d, k).
-        information: Inverse covariance of the innovation, (p, k, k).
+        cross_covariance: Of state and innovation, P Jᵀ, (p, d, k).
+        innovation_precision: Inverse covariance S⁻¹ of the innovation, (p, k, k).
     """
 
-    cross: Float64[np.ndarray, "p d k"]
-    information: Float64[np.ndarray, "p k k"]
+    cross_covariance: Float64[np.ndarray, "p d k"]
+    innovation_precision: Float64[np.ndarray, "p k k"]
 
 
-def expect(
+def predict_measurement(
     covariance: Float64[np.ndarray, "n d d"], hypothesis: Int64[np.ndarray, " p"], jacobian: Jacobian, noise: np.ndarray
-) -> Expected:
-    """The expectation of measurements.
+) -> PredictedMeasurement:
+    """Predict measurements.
 
     Args:
         covariance: Of the states of n hypotheses.
@@ -60,14 +60,14 @@ def expect(
     of_state = reduce(
         np.add, [cross[:, part] if matrix is None else matrix @ cross[:, part] for part, matrix in jacobian]
     )
-    return Expected(cross, np.linalg.inv(of_state + noise))
+    return PredictedMeasurement(cross, np.linalg.inv(of_state + noise))
 
 
 def kalman_update(
     covariance: Float64[np.ndarray, "n d d"],
     hypothesis: Int64[np.ndarray, " p"],
     measurement: Measurement,
-    expected: Expected,
+    predicted: PredictedMeasurement,
 ) -> tuple[Float64[np.ndarray, "p d"], Float64[np.ndarray, "p d d"]]:
     """The change of the state that each measurement makes, and the covariance after it, in Joseph's form.
 
@@ -79,10 +79,10 @@ def kalman_update(
         covariance: Of the states of n hypotheses.
         hypothesis: Index of the hypothesis of each of p measurements.
         measurement: The measurements.
-        expected: From `expect`.
+        predicted: From `predict_measurement`.
     """
-    cross = expected.cross
-    gain = cross @ expected.information
+    cross = predicted.cross_covariance
+    gain = cross @ predicted.innovation_precision
     change = (gain @ measurement.innovation[:, :, None])[:, :, 0]
     after = np.empty((len(hypothesis), *covariance.shape[1:]))
     for block in blocks(len(hypothesis)):

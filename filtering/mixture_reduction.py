@@ -1,7 +1,8 @@
-"""Mixture reduction: hypotheses merged, pruned, resampled.
+"""Mixture reduction: hypotheses pruned, merged, resampled.
 
-Sources: Runnalls, "Kullback-Leibler approach to Gaussian mixture reduction", 2007; Fearnhead and Clifford, "On-line
-inference for hidden Markov models via particle filters", 2003.
+Sources: Salmond, "Mixture reduction algorithms for target tracking in clutter", 1990 (greedy clusters about the
+heaviest component); Runnalls, "Kullback-Leibler approach to Gaussian mixture reduction", 2007; Fearnhead and Clifford,
+"On-line inference for hidden Markov models via particle filters", 2003.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ def reduce_mixture(
     resampling: Resampling,
     rng: np.random.Generator,
 ) -> Hypotheses:
-    """Merge, prune and resample hypotheses; the result is sorted by falling weight.
+    """Prune, merge and resample hypotheses; the result is sorted by falling weight.
 
     A hypothesis is merged into a heavier one that describes its pose as well: the Kullback-Leibler divergence of its
     Gaussian from the other's is small. Merging keeps mean and covariance. Hypotheses lighter than `least_weight` are
@@ -42,7 +43,7 @@ def reduce_mixture(
     """
     h, order = hypotheses, _by_falling_weight(hypotheses.log_weights)
     least = np.log(least_weight) if least_weight > 0.0 else -np.inf
-    order = order[h.log_weights[order] > min(least, h.log_weights[order[0]] - 1.0)]
+    order = order[h.log_weights[order] > min(least, h.log_weights[order[0]] - 1.0)]  # the heaviest always stays
     if divergence > 0.0:
         h = h[order]
         h = _merged(h, _leaders(h, divergence))

@@ -10,6 +10,7 @@ from jaxtyping import Float64
 
 from filtering.errors import VaporTrackError, require_within
 from filtering.se3 import Poses
+from filtering.unchecked import unchecked_replace
 
 _RIGID = 1e-6  # of RRᵀ − I: float32 passes
 _LARGEST_VARIANCE, _LONGEST_M = 1e12, 1e9
@@ -227,6 +228,11 @@ class OdometryBias:
     1/√s: with 1.0 drift and white noise are equal after one second."""
     time_s: float = 30.0
     """Time over which the drift changes, seconds."""
+
+    @property
+    def without_drift(self) -> OdometryBias:
+        """The same for a time without odometry, in which there is no increment that it could change."""
+        return unchecked_replace(self, drift=(0.0,) * 6)
 
     def __post_init__(self) -> None:
         require_within(self, scale=(0.0, 10.0), relative_drift=(0.0, 1e3), time_s=(1e-3, 1e9))

@@ -171,7 +171,8 @@ class PosePosterior:
     def possible(self) -> Float64[np.ndarray, " k"]:
         """How possible each place is, in [0, 1]: its weight w as w / (w + possible fraction).
 
-        Weights of verified places beside others were calibrated on held-out images and are taken as they are.
+        Weights of verified places relative to others were calibrated on held-out images: beside verified places, others
+        are w / (total weight of verified places + possible fraction).
         """
         possible = self.weights / (self.weights + self.errors.possible_fraction)
         network, verified = self.sources

@@ -1,4 +1,4 @@
-"""One step of the particle filter: predict, weigh, correct, add births, reduce.
+"""One step of the particle filter: predict, initialize or measure, add births, reduce, describe.
 
 Each stage takes a belief and gives the next one; nothing is changed in place.
 """
@@ -70,12 +70,13 @@ def predict(belief: Belief, odometry: Odometry | None, elapsed_s: float, config:
     hypotheses, gap, provisional, agreement = belief.hypotheses, config.gap, belief.provisional, belief.agreement
     if hypotheses is None:
         return belief
+    bias = config.odometry_bias
     if odometry is None:
         likely = gap.speed_m_per_s * elapsed_s, gap.turn_rad_per_s * elapsed_s
         after = {name: camera.across_gap(*likely) for name, camera in belief.cameras.items()}
         if gap.action == "forget":
             provisional, agreement = True, 0.0
-        odometry = Odometry(Poses.identity(), np.zeros((6, 6)), elapsed_s)
+        odometry, bias = Odometry(Poses.identity(), np.zeros((6, 6)), elapsed_s), bias.without_drift
         hypotheses = inflate(hypotheses, gap.covariance(elapsed_s))
     else:
         require_odometry(odometry)
@@ -89,7 +90,7 @@ def predict(belief: Belief, odometry: Odometry | None, elapsed_s: float, config:
     distances = [numbered[number] for number in sorted(numbered)]
     return unchecked_replace(
         belief,
-        hypotheses=predict_hypotheses(hypotheses, odometry, config.odometry_bias, distances),
+        hypotheses=predict_hypotheses(hypotheses, odometry, bias, distances),
         cameras=cameras,
         best=None if belief.best is None else belief.best @ odometry.previous_from_current,
         agreement=agreement,
@@ -117,7 +118,12 @@ class UsedView:
 
 
 def measure(belief: Belief, view: View) -> tuple[Belief, UsedView]:
-    """Weight every hypothesis by an image, and correct it by each place that it may see."""
+    """Weight every hypothesis by an image, and correct it by each place that it may see.
+
+    The weight follows from nearness alone (`evidence`); the densities of places only split a hypothesis (`correct`).
+    Otherwise a wrong place with tight samples would outweigh the right one with loose samples. The scale of the noise
+    includes this image.
+    """
     before = belief.cameras[view.camera].seen_through(view.reference_from_camera)
     camera, novelty, power = before.observe(view.posterior)
     posterior = view.posterior.inflated(*(source.scale.factor for source in camera.sources))
@@ -149,19 +155,19 @@ def add_births(belief: Belief, used: Sequence[UsedView], novelty: float, config:
 
 
 def reduce(belief: Belief, config: LocalizerConfig) -> Belief:
-    """Merge hypotheses that agree, prune light ones, and resample beyond `max_hypotheses`."""
-    hypotheses, random = hypotheses_of(belief), belief.random
+    """Prune light hypotheses, merge those that agree, and resample beyond `max_hypotheses`."""
+    hypotheses, rng = hypotheses_of(belief), belief.rng
     if len(hypotheses) > config.max_hypotheses:
-        random = copy.deepcopy(random)
+        rng = copy.deepcopy(rng)
     reduced = reduce_mixture(
         hypotheses,
         divergence=config.merge_divergence,
         least_weight=config.least_weight,
         most=config.max_hypotheses,
         resampling=config.resampling,
-        rng=random,
+        rng=rng,
     )
-    return unchecked_replace(belief, hypotheses=reduced, random=random)
+    return unchecked_replace(belief, hypotheses=reduced, rng=rng)
 
 
 def follow_agreement(
@@ -202,7 +208,7 @@ def initialize(belief: Belief, views: Sequence[View], config: LocalizerConfig) -
     if first is None:
         raise VaporTrackError("the first image has no place, expected one with at least one")
     agreement = 0.0 if provisional else 1.0
-    new = Belief(belief.random, agreement=agreement, usual_agreement=agreement, provisional=provisional)
+    new = Belief(belief.rng, agreement=agreement, usual_agreement=agreement, provisional=provisional)
     camera = CameraMemory.first_seen(first, 0, unknown=0.0, adapts=config.adapt_errors)
     new = new.with_camera(first.camera, camera)
     posterior = first.posterior.seen_from(first.reference_from_camera)
@@ -238,7 +244,10 @@ def born_at(posterior: PosePosterior, camera: CameraMemory, belief: Belief, conf
 
 
 def describe(belief: Belief, views: Sequence[View], novelty: float, config: LocalizerConfig) -> tuple[Belief, Estimate]:
-    """The estimate of a belief, and the belief with its best mode kept."""
+    """The estimate of a belief, and the belief with its best mode kept.
+
+    Modes and status are in units of the first camera's noise.
+    """
     hypotheses, errors = hypotheses_of(belief), next(iter(belief.cameras.values())).errors
     modes = _ordered(describe_modes(hypotheses, errors, config.modes), belief.best, errors, config)
     estimate = Estimate(

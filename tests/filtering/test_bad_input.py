@@ -294,10 +294,10 @@ def test_an_update_that_raises_draws_nothing(monkeypatch):
         localizers.append(localizer)
     step = increment(translation=(0.3, 0, 0))
     seen = seen_at(lifted(Poses.exp(np.array([0.3, 0, 0, 0, 0, 0])), 3.0 * np.arange(6)), [0.15] * 6)
-    drawn = localizers[0].belief.random.bit_generator.state
+    drawn = localizers[0].belief.rng.bit_generator.state
 
     def broken(belief, *arguments):
-        assert belief.random.bit_generator.state != drawn  # precondition: it has drawn
+        assert belief.rng.bit_generator.state != drawn  # precondition: it has drawn
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:

@@ -189,3 +189,16 @@ def test_an_elapsed_time_that_is_none_is_refused(elapsed_s):
     localizer.update(seen_at(Poses.identity(1)), None)
     with pytest.raises(VaporTrackError, match="since the previous step, expected a finite time"):
         localizer.update(seen_at(Poses.identity(1)), None, elapsed_s=elapsed_s)
+
+
+def test_without_odometry_a_drift_that_was_learned_moves_no_pose():
+    """Drift is an error of increments; in a gap there are none."""
+    bias = OdometryBias(scale=0.05, drift=(0.05,) * 3 + (0.01,) * 3)
+    localizer = ParticleLocalizer(None, LocalizerConfig(odometry_bias=bias), rng=np.random.default_rng(0))
+    localizer.update(seen_at(Poses.identity(1)), None)
+    hypotheses = localizer.belief.hypotheses
+    assert hypotheses is not None
+    learned = replace(hypotheses, mean=np.full_like(hypotheses.mean, 2.0))
+    localizer.belief = replace(localizer.belief, hypotheses=learned)
+    localizer.predict(None, elapsed_s=10.0)
+    assert np.abs(localizer.belief.hypotheses.poses.log()).max() < 1e-12
