@@ -1,7 +1,7 @@
 """The single-hypothesis baseline: an error-state Kalman filter on SE(3), the linear algebra by filterpy.
 
-It has the same noise as the particle filter: covariances of an image's places, correlated errors, heavy tails, slow
-errors of odometry. It lacks a second hypothesis.
+It has the same noise as the particle filter: covariances of an image's places, correlated errors, heavy tails, odometry
+bias. It lacks a second hypothesis.
 """
 
 from __future__ import annotations

@@ -57,7 +57,7 @@ class OdometryFit:
 
     @property
     def odometry_bias(self) -> OdometryBias:
-        """The odometry bias, as the filter takes them."""
+        """The odometry bias, as the filter takes it."""
         return OdometryBias(scale=self.scale_std, drift=self.drift, time_s=self.time_s)
 
     def along(

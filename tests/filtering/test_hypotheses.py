@@ -278,6 +278,6 @@ def test_what_is_lighter_than_the_least_weight_goes_but_the_heaviest_stays():
     assert len(fewer(even, divergence=0.0, least_weight=0.1, most=1000)) == 200
 
 
-def test_an_measurement_noise_without_correlated_errors_ties_a_newborn_to_no_bias():
+def test_measurement_noise_without_correlated_errors_ties_a_newborn_to_no_bias():
     h = birth(seen_at(Poses.identity(1), errors=MeasurementNoise(correlated_fraction=0.0)), 0, 1, NEVER, None)
     assert not h.covariance[0, POSE, correlated_error(0)].any()

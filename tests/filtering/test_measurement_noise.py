@@ -5,7 +5,7 @@ from filtering.errors import VaporTrackError
 from filtering.measurement_noise import MeasurementNoise
 
 
-def test_an_error_is_as_wide_as_the_samples_times_the_spread_and_the_storey_together():
+def test_an_error_is_as_wide_as_the_samples_times_the_spread_and_the_noise_floor_together():
     model = MeasurementNoise(spread=4.0, noise_floor=(0.1, 0.2, 0.3, 0.01, 0.02, 0.03))
     samples = np.diag([0.25, 0.5, 0.0, 1.0, 0.0, 0.0])[None]
     samples[0, 0, 1] = samples[0, 1, 0] = 0.1

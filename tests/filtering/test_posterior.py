@@ -74,7 +74,7 @@ def test_two_places_inside_one_and_a_half_radii_are_one_and_beyond_three_are_two
 
 
 @pytest.mark.parametrize("count", [1, 2, 1000])
-def test_equal_samples_are_one_place_as_wide_as_the_storey(count):
+def test_equal_samples_are_one_place_as_wide_as_the_noise_floor(count):
     pose = Poses.exp(np.array([100.0, -50, 3, 0.1, 0.2, 3.0]))
     samples = Poses(np.repeat(pose.rotation[None], count, 0), np.repeat(pose.translation[None], count, 0))
     posterior = PosePosterior.from_samples(samples, ERRORS)

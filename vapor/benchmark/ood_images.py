@@ -92,10 +92,10 @@ def evaluate_flags(
         advance: Called with the number of files and folders evaluated and that of all.
 
     Raises:
-        VaporTrackError: the model has no ood_model, or data cannot be read.
+        VaporTrackError: the model has no OOD model, or data cannot be read.
     """
     if model.description.ood_model is None:
-        raise VaporTrackError("the model has no ood_model, expected one with it (`vapor-track calibrate` adds it)")
+        raise VaporTrackError("the model file has no OOD model, expected one with it (`vapor-track calibrate` adds it)")
     changes: dict[str, Change] = {"known": lambda image, rng: image, **OUT_OF_DISTRIBUTION, **CHANGED}
     scores: dict[str, list[Float64[np.ndarray, " n"]]] = {kind: [] for kind in changes}
     total = len(known) + len(other)

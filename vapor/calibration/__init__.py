@@ -1,1 +1,1 @@
-"""Errors and ood_model of a trained network, fitted on held-out images."""
+"""Errors and OOD model of a trained network, fitted on held-out images."""

@@ -42,15 +42,15 @@ def calibrate_model(
 ) -> CalibrationResult:
     """Calibrate a trained model, and write it with its weights untouched.
 
-    OodModel is learned from `training`. Without it, only the threshold of a known ood_model is fitted; an unknown
-    ood_model is learned from half of the held-out data, and the threshold from the rest.
+    The OOD model is learned from `training`. Without it, only the threshold of a known one is fitted; an unknown
+    one is learned from half of the held-out data, and the threshold from the rest.
 
     Args:
         model: Model file, or name of a model that ships.
         data: Held-out files and folders with true poses, as for `train`.
         output: The model file to write.
         training: Data that the model was trained on, or some of it.
-        ood_only: Fit only the ood_model.
+        ood_only: Fit only the OOD model.
         same_conditions: As in `calibrate`.
         max_images: Number of held-out images that are used, at most.
         seed: Of latent noise.
@@ -123,7 +123,7 @@ def _ood_model(
     held_out: TrainingSet,
     max_images: int,
 ) -> OodModel | None:
-    """OodModel with the threshold of held-out images; None where there are too few images."""
+    """The OOD model with the threshold of held-out images; None where there are too few images."""
     if trained_on is None and known is not None:
         return known.with_threshold_of(extract_features(network, held_out.select(spaced(len(held_out), max_images))))
     if trained_on is None:

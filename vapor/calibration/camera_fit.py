@@ -69,10 +69,8 @@ class CameraFit:
         words += f": {self.by_found.agreeing:.0%} instead of {self.by_stated.agreeing:.0%} of matches agree"
         if not np.isfinite(self.errors_m).any():
             return words
-        stated, found = (
-            f"within {100 * each:.1f} cm" if np.isfinite(each) else "hardly at all" for each in self.errors_m
-        )
-        return f"{words}, and images are localized {found} instead of {stated}"
+        stated, found = (f"{100 * each:.1f} cm" if np.isfinite(each) else "hardly at all" for each in self.errors_m)
+        return f"{words}, and images are localized within {found} instead of {stated}"
 
 
 def fit_camera(

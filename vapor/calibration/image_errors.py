@@ -11,15 +11,21 @@ from torch import Tensor
 
 from filtering.measurement_noise import LEAST_SCORE, OUT_OF_DISTRIBUTION, MeasurementNoise, Six
 from filtering.se3 import Poses
+from sequences.odometry_fit.result import six
 from vapor.calibration.error_correlation import Travel, effective_images, fit_error_correlation, outlier_lengths
-from vapor.calibration.places import Observations, Places, as_six, log_densities, log_sums
+from vapor.calibration.places import Observations, Places, log_densities, log_sums
 from vapor.checkpoints.scene_scale import RADIUS_RAD, log_clutter_density, scene_extent
 
-_STARTS = (0.003, 0.02, 0.1, 0.3)  # of the noise_floor, in extents
+_STARTS = (0.003, 0.02, 0.1, 0.3)  # of the noise floor, in extents
 _TRIES, _STEPS = 12, 80  # of the optimiser, from every start and from the best
-_LOG_SPREAD, _LOG_STOREY, _LOG_TAIL, _LOGIT_OUTLIERS = (-5.0, 4.0), (-9.0, 0.0), (0.7, 4.0), (-5.0, 0.0)
-_LIMITS = (_LOG_SPREAD, *[_LOG_STOREY] * 6, _LOGIT_OUTLIERS, _LOG_TAIL)
-_PULL, _PULLED_TO = 1e-4, np.log(0.02)  # of the noise_floor's logarithms, decisive without data
+_LOG_SPREAD, _LOG_NOISE_FLOOR, _LOG_DEGREES_OF_FREEDOM, _LOGIT_OUTLIERS = (
+    (-5.0, 4.0),
+    (-9.0, 0.0),
+    (0.7, 4.0),
+    (-5.0, 0.0),
+)
+_LIMITS = (_LOG_SPREAD, *[_LOG_NOISE_FLOOR] * 6, _LOGIT_OUTLIERS, _LOG_DEGREES_OF_FREEDOM)
+_PULL, _PULLED_TO = 1e-4, np.log(0.02)  # of the noise floor's logarithms, decisive without data
 _POWERS = np.linspace(0.0, 1.5, 13)  # by which errors grow with the score
 LEAST_IMAGES = 20
 """Images that are needed for a fit."""
@@ -46,8 +52,8 @@ class Change:
 class FoundErrors:
     """The likeliest errors for one reach of a place.
 
-    `score` is the mean log likelihood, with the pull of the noise_floor. `parameters` are logarithms of spread and
-    noise_floor (in extents), logit of the outliers, and logarithm of the degrees_of_freedom, (9,).
+    `score` is the mean log likelihood, with the pull of the noise floor. `parameters` are logarithms of spread and
+    noise floor (in extents), logit of the outliers, and logarithm of the degrees of freedom, (9,).
     """
 
     score: float
@@ -59,7 +65,7 @@ class FoundErrors:
         lengths = np.array([extent] * 3 + [1.0] * 3)
         return {
             "spread": float(spread),
-            "noise_floor": as_six(noise_floor * lengths),
+            "noise_floor": six(noise_floor * lengths),
             "outlier_probability": float(1.0 / (1.0 + np.exp(-outliers))),
             "degrees_of_freedom": float(degrees_of_freedom),
         }
@@ -68,14 +74,14 @@ class FoundErrors:
 def _unpack(parameters: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     return (
         parameters[0].clamp(*_LOG_SPREAD).exp(),
-        parameters[1:7].clamp(*_LOG_STOREY).exp(),
+        parameters[1:7].clamp(*_LOG_NOISE_FLOOR).exp(),
         parameters[7].clamp(*_LOGIT_OUTLIERS),
-        parameters[8].clamp(*_LOG_TAIL).exp(),
+        parameters[8].clamp(*_LOG_DEGREES_OF_FREEDOM).exp(),
     )
 
 
 def most_likely_errors(places: Places, extent: float, flat: float, also: Tensor | None) -> FoundErrors:
-    """Spread, noise_floor, degrees_of_freedom and outliers of highest likelihood, from several starting points and
+    """Spread, noise floor, degrees of freedom and outliers of highest likelihood, from several starting points and
     `also`.
 
     `extent` of the scene in metres is the unit of lengths. `flat` is the log density of poses spread evenly over it.
@@ -89,7 +95,7 @@ def most_likely_errors(places: Places, extent: float, flat: float, also: Tensor 
     low, high = (torch.tensor(limits, dtype=torch.float64) for limits in zip(*_LIMITS, strict=True))
 
     def loss(parameters: Tensor) -> tuple[float, Tensor]:
-        """Negative mean log likelihood, with the pull of the noise_floor, and its gradient."""
+        """Negative mean log likelihood, with the pull of the noise floor, and its gradient."""
         spread, noise_floor, outliers, degrees_of_freedom = _unpack(parameters)
         terms, slopes = log_densities(residual, covariance, fraction, spread, noise_floor, degrees_of_freedom)
         log_places = log_sums(terms, image)
@@ -179,11 +185,11 @@ def fit_errors(
 ) -> ErrorFit:
     """Fit the errors of the posteriors of n held-out images.
 
-    Places, spread, noise_floor, tails and outliers maximise the mean log likelihood
+    Places, spread, noise floor, tails and outliers maximise the mean log likelihood
 
         log[ε flat + (1 − ε) Σₖ fractionₖ t(true pose; placeₖ, spread Cₖ + diag(noise_floor²), ν)].
 
-    Among reaches of places of nearly the same likelihood, the widest is taken. Growth with ood_score is the power
+    Among reaches of places of nearly the same likelihood, the widest is taken. Growth with the OOD score is the power
     of highest likelihood. The correlation of errors comes from products of the normalised errors of two images against
     the motion between them, that of mistakes from the evidence of two images for the true place. The fewer independent
     images, the more alike are the axes and the larger the variances.
@@ -273,6 +279,6 @@ def cautious(errors: MeasurementNoise, effective: float) -> MeasurementNoise:
     return replace(
         errors,
         spread=larger * errors.spread,
-        noise_floor=as_six(np.sqrt(larger * variances).ravel()),
+        noise_floor=six(np.sqrt(larger * variances).ravel()),
         constant_fraction=min(1.0, MeasurementNoise().constant_fraction + _UNSEEN / effective),
     )

@@ -1,4 +1,4 @@
-"""OodModel of images to a network, learned from its training images."""
+"""The OOD model of a network, learned from its training images."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def extract_features(network: PoseRegressor, images: TrainingSet) -> Float32[np.
 
 
 def learn_ood_model(network: PoseRegressor, training: TrainingSet, held_out: TrainingSet) -> OodModel | None:
-    """OodModel of at most `EXEMPLARS` training images in order of time; None with fewer than 50.
+    """The OOD model of at most `EXEMPLARS` training images in order of time; None with fewer than 50.
 
     The threshold is that of other images of the place, if there are 50.
     """
@@ -54,7 +54,7 @@ def learn_ood_model(network: PoseRegressor, training: TrainingSet, held_out: Tra
 
 
 def fit_ood_model(features: Float32[np.ndarray, "n d"], segment: Int64[np.ndarray, " n"]) -> OodModel:
-    """OodModel from features of n training images, each from one of several segments of the data."""
+    """The OOD model from features of n training images, each from one of several segments of the data."""
     centre, spread = features.mean(axis=0), features.std(axis=0)
     spread = np.maximum(spread, 1e-3 * spread.mean() + 1e-6)
     backbone, chroma = features.shape[1] - CHROMA, CHROMA

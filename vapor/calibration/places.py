@@ -16,6 +16,7 @@ from filtering.measurement_noise import MeasurementNoise, Six
 from filtering.moments import group_moments
 from filtering.posterior import find_places
 from filtering.se3 import Poses
+from sequences.odometry_fit.result import six
 
 REGIONS = (0.5, 0.9, 0.95)
 """Probabilities of the regions whose coverage is reported."""
@@ -41,7 +42,7 @@ def log_densities(
 ) -> tuple[Tensor, Tensor]:
     """Log of fraction times Student t density of each residual, (p,), and its slopes (p, 8).
 
-    The slopes are by the logarithms of spread, noise_floor (6) and degrees_of_freedom. Automatic differentiation takes
+    The slopes are by the logarithms of spread, noise floor (6) and degrees of freedom. Automatic differentiation takes
     twice the time.
     """
     factor = torch.linalg.cholesky(spread * covariance + torch.diag(noise_floor.square()))
@@ -174,7 +175,7 @@ class Places:
     def typical_std(self, errors: MeasurementNoise) -> Six:
         """Standard deviations of the error of the likeliest place, median over the images."""
         variances = np.diagonal(errors.covariance(self.covariance[self._likeliest(errors)]), axis1=1, axis2=2)
-        return as_six(np.sqrt(np.median(variances, axis=0)))
+        return six(np.sqrt(np.median(variances, axis=0)))
 
     def _likeliest(self, errors: MeasurementNoise) -> Int64[np.ndarray, " n"]:
         order = np.lexsort([-self._log_terms(errors), self.image])
@@ -190,9 +191,3 @@ class Places:
             torch.tensor(errors.degrees_of_freedom, dtype=torch.float64),
         )
         return terms.numpy()
-
-
-def as_six(values: Float64[np.ndarray, "6"]) -> Six:
-    """Six numbers as a tuple of an `MeasurementNoise`."""
-    a, b, c, d, e, f = (float(value) for value in values)
-    return a, b, c, d, e, f

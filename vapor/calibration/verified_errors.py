@@ -34,7 +34,7 @@ _ENOUGH = 0.5  # of the images verified where they are: else less is hidden
 _IMAGES, _TRIED = 200, 40  # that are localized, and by which it is found how much can be hidden
 _DEPTH_RAD = 2.0 * np.deg2rad(25.0)  # a turn that changes the view as much as a depth moved
 _LENGTHS, _USUAL_LENGTH = np.geomspace(0.05, 3.0, 13).tolist(), 0.4  # over which errors last, in depths
-_LEAST_LASTING, _MOST_CORRELATED = 0.5, 0.95  # of the variance
+_LEAST_CORRELATED, _MOST_CORRELATED = 0.5, 0.95  # of the variance
 _NONE_RIGHT = 0.05  # of the images, before held-out ones are seen
 _HELD = 0.9  # of the images at least have their true pose in the region of this name
 _RIGHT = 0.5, 0.35  # depths and radians, beyond which a pose is of another place
@@ -248,7 +248,7 @@ def _error_correlation(
     weights = 1.0 / (second - first)  # neighbours as much as all that are ten times as far from each other
     best, found = np.inf, unit
     for length in _LENGTHS:
-        cost, fraction = fit_decay(apart / length, products, weights, (_LEAST_LASTING, _MOST_CORRELATED))
+        cost, fraction = fit_decay(apart / length, products, weights, (_LEAST_CORRELATED, _MOST_CORRELATED))
         if cost < best:
             best, found = cost, ErrorCorrelation(fraction, length * depth_m, length * _DEPTH_RAD)
     return found

@@ -102,7 +102,7 @@ class Checkpoint(_Model):
         return network_sha256(self.network, self.box, weights, [value.numpy() for value in memory])
 
     def seen_sha256(self) -> str:
-        """Digest of all that the network's result for an image depends on: weights, ood_model, camera, landmarks."""
+        """Digest of all that the network's result for an image depends on: weights, OOD model, camera, landmarks."""
         seen = hashlib.sha256(self.network_sha256().encode())
         for each in fields(self.ood_model) if self.ood_model else ():
             seen.update(each.name.encode() + np.asarray(getattr(self.ood_model, each.name)).tobytes())

@@ -22,7 +22,7 @@ from vapor.tensor_files import FLOATS, CheckpointError, StoredTensor
 NETWORK = "network."
 OOD_MODEL = "ood_model."
 MEMORY = "memory."
-"""Prefixes of the names of tensors in a file: weights of the network, ood_model, memory."""
+"""Prefixes of the names of tensors in a file: weights of the network, OOD model, memory."""
 PRIOR_ROTATION, PRIOR_TRANSLATION = "prior_poses.rotation", "prior_poses.translation"
 """Names of the tensors that hold the prior poses."""
 MEMORY_ROTATION, MEMORY_TRANSLATION = f"{MEMORY}rotation", f"{MEMORY}translation"
@@ -105,7 +105,7 @@ def read_poses(tensors: Mapping[str, StoredTensor], rotation: str, translation: 
 
 
 def ood_model_arrays(ood_model: OodModel) -> dict[str, np.ndarray]:
-    """OodModel as tensors of a model file: matrices as float16, the rest as float32."""
+    """The OOD model as tensors of a model file: matrices as float16, the rest as float32."""
     found = {each.name: np.asarray(getattr(ood_model, each.name)) for each in fields(OodModel)}
     return {
         OOD_MODEL + name: value.astype(np.float16 if value.ndim == 2 else np.float32) for name, value in found.items()
@@ -130,7 +130,7 @@ def ood_model_shapes(tensors: Mapping[str, StoredTensor], size: int) -> Shapes:
 
 
 def read_ood_model(path: Path, tensors: Mapping[str, StoredTensor]) -> OodModel:
-    """OodModel from tensors that were checked.
+    """The OOD model from tensors that were checked.
 
     Raises:
         CheckpointError: values that cannot be used.

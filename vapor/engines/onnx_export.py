@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 INPUTS = "image", "noise"
 OUTPUTS = "translation", "rotation", "description"
-"""Names of inputs and outputs; the last one is there for a model with ood_model."""
+"""Names of inputs and outputs; the last one is there for a model with an OOD model."""
 WITHIN_M, WITHIN_RAD = 1e-4, 1e-4
 """How far poses of an exported network may be from torch's."""
 _OPSET = 17

@@ -91,7 +91,7 @@ class _Recorded:
 
 
 class WholeNetwork(nn.Module):
-    """One image and noise in; positions, rotations and, for a model with ood_model, a description out."""
+    """One image and noise in; positions, rotations and, for a model with an OOD model, a description out."""
 
     def __init__(self, checkpoint: Checkpoint) -> None:
         super().__init__()

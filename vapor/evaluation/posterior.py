@@ -15,7 +15,7 @@ from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from vapor.checkpoints.calibration import Calibration
 from vapor.evaluation.trajectory import THRESHOLDS
-from vapor.evaluation.validation import LOG_STOREY
+from vapor.evaluation.validation import LOG_FLOOR
 
 
 def posterior_metrics(
@@ -65,7 +65,7 @@ def posterior_metrics(
         fraction = near[:, :-2].mean(axis=1)
         inside.append([fraction >= gamma - 1e-12, near[:, -1], fraction > 0])
         errors.append([translation_m[-2:], rotation_deg[-2:]])
-        densities.append(np.logaddexp(calibration.density(samples).log_density(true_pose)[0], LOG_STOREY))
+        densities.append(np.logaddexp(calibration.density(samples).log_density(true_pose)[0], LOG_FLOOR))
         counts.append(len(found))
     if len(inside) != len(truth) or not inside:
         raise VaporTrackError(f"{len(inside)} posteriors for {len(truth)} true poses, expected one for each, and one")
@@ -73,7 +73,7 @@ def posterior_metrics(
     median = np.median(errors, axis=0)
     exact = None
     if exact_log_density is not None:
-        exact = float(-np.mean(np.logaddexp(exact_log_density, LOG_STOREY)))
+        exact = float(-np.mean(np.logaddexp(exact_log_density, LOG_FLOOR)))
     by_threshold = (dict(zip(THRESHOLDS, map(float, row), strict=True)) for row in recall)
     return {
         "images": len(inside),

@@ -19,7 +19,7 @@ from vapor.training_data.training_set import TrainingSet
 RECALL_TRANSLATION_M, RECALL_ROTATION_RAD = 0.3, float(np.deg2rad(20.0))
 _BATCH = 64
 _MAX_NOISE = 2**25  # numbers at a time: dropout takes 2048 for every sample
-LOG_STOREY = float(np.log(1e-4))
+LOG_FLOOR = float(np.log(1e-4))
 """Log density per m³ rad³ that is added at a true pose, so that no single image decides."""
 
 
@@ -62,7 +62,7 @@ def validate(
         log_density = density.log_density(Poses.concatenate([samples, truth]))
         translation_m, rotation_rad = samples.distance(truth)
         near = (translation_m < RECALL_TRANSLATION_M) & (rotation_rad < RECALL_ROTATION_RAD)
-        figures.append((near.mean(), near[log_density[:-1].argmax()], np.logaddexp(log_density[-1], LOG_STOREY)))
+        figures.append((near.mean(), near[log_density[:-1].argmax()], np.logaddexp(log_density[-1], LOG_FLOOR)))
     sample_recall, mode_recall, log_density = np.array(figures, np.float64).mean(axis=0)
     return Validation(epoch, train_loss, float(sample_recall), float(mode_recall), float(log_density))
 

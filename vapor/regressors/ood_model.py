@@ -50,12 +50,12 @@ class OodModel:
     def __post_init__(self) -> None:
         if not (0.0 < self.own_distance <= self.threshold < np.inf):
             raise VaporTrackError(
-                f"ood_model: own_distance {self.own_distance} and threshold {self.threshold}, expected positive"
+                f"OOD model: own_distance {self.own_distance} and threshold {self.threshold}, expected positive"
                 " numbers, the latter no less than the former"
             )
         for name in ("scale", "stretch"):
             if not (getattr(self, name) > 0.0).all():
-                raise VaporTrackError(f"ood_model: {name} has values that are not positive")
+                raise VaporTrackError(f"OOD model: {name} has values that are not positive")
 
     def ood_score(self, descriptions: Float32[np.ndarray, "m d"]) -> Float64[np.ndarray, " m"]:
         """Score of images with these descriptions: 0 an image trained on, 1 at the threshold, above it out of

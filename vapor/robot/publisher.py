@@ -70,7 +70,7 @@ def diagnostics_message(
             "modes": len(estimate.modes),
             "standard deviation, m": f"{best.widest_std_m:.4f}",
             "agreement of the images": f"{estimate.agreement:.4f}",
-            "ood_score of the image": f"{estimate.ood_score:.4f}",
+            "OOD score of the image": f"{estimate.ood_score:.4f}",
         }
         if storeys is not None:
             on_storeys = storeys.belief(estimate)

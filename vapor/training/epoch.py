@@ -127,7 +127,8 @@ def _losses_of_images(
         count = order.shape[1] // 2 * 2 if pairs else order.shape[1]
         noise = torch.randn((count, samples, network.noise_dim), generator=generator, device=device)[own]
         with torch.autocast(device.type, torch.bfloat16, enabled=bfloat16):
-            yield state.learner("loss", normalised, translation[indices], rotation[indices], noise, config.loss)
+            loss = state.learner("loss", normalised, translation[indices], rotation[indices], noise, config.loss)
+        yield loss  # backward and the step of the optimiser are not in autocast
 
 
 def _losses_of_features(

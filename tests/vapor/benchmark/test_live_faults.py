@@ -29,7 +29,7 @@ def test_a_status_holds_until_the_next():
     ]
 
 
-def test_changes_aresource_topicsce():
+def test_changes_are_said_once():
     assert changes(STATUSES) == [(1.0, "ambiguous"), (3.0, "converged"), (4.0, "lost"), (6.0, "converged")]
     assert changes([]) == []
 

@@ -18,7 +18,7 @@ from vapor.checkpoints.scene_scale import default_errors, log_clutter_density, s
 pytestmark = pytest.mark.usefixtures("unchecked")
 
 
-def test_spread_storey_tail_and_outliers_of_known_errors_are_found():
+def test_spread_noise_floor_tail_and_outliers_of_known_errors_are_found():
     errors = fitted().errors
     assert errors.spread == pytest.approx(TRUE.spread, rel=0.35)
     np.testing.assert_allclose(errors.noise_floor, TRUE.noise_floor, rtol=0.3)

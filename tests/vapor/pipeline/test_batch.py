@@ -163,7 +163,7 @@ def test_an_interrupted_batch_keeps_what_was_finished_whole(bags, tiny_model, tm
     assert (summary["sequences_done"], summary["sequences_in_all"]) == (1, 2)
 
 
-def test_a_model_that_cannot_be_used_issource_topicsce_and_nothing_is_written(bags, tmp_path, capsys):
+def test_a_model_that_cannot_be_used_is_said_once_and_nothing_is_written(bags, tmp_path, capsys):
     assert run([bags], tmp_path / "none.safetensors", tmp_path / "out") == 1
     printed = capsys.readouterr()
     assert "no such model file" in printed.err

@@ -16,7 +16,7 @@ from vapor.checkpoints.calibration import Calibration
 from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
 from vapor.evaluation.posterior import posterior_metrics
-from vapor.evaluation.validation import LOG_STOREY, exact_log_density
+from vapor.evaluation.validation import LOG_FLOOR, exact_log_density
 from vapor.observation import VaporObservationModel
 from vapor.regressors.base import DensityRegressor
 from vapor.regressors.flow import FlowRegressor, Spline
@@ -254,7 +254,7 @@ def test_training_takes_the_axes_of_its_poses_and_is_judged_by_its_own_density(t
     assert np.isfinite(exact).all()
     samples = [images.poses] * 8
     figures = posterior_metrics(samples, images.poses, trained.calibration, exact_log_density=exact)
-    expected = -np.logaddexp(exact, LOG_STOREY).mean()
+    expected = -np.logaddexp(exact, LOG_FLOOR).mean()
     assert figures["exact_negative_log_density"] == pytest.approx(expected)
     assert posterior_metrics(samples, images.poses, trained.calibration)["exact_negative_log_density"] is None
     variational = make_regressor(TINY.network, BOX)

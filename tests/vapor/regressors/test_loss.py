@@ -63,7 +63,7 @@ def test_a_perfect_prediction_has_a_finite_gradient():
 @pytest.mark.parametrize(
     ("alpha", "num_samples", "winners"), [(0.2, 1000, 200), (0.05, 1000, 50), (0.3, 10, 3), (0.29, 10, 2), (0.05, 4, 1)]
 )
-def test_winners_are_the_storey_of_alpha_m_and_at_least_one(alpha, num_samples, winners):
+def test_winners_are_the_floor_of_alpha_m_and_at_least_one(alpha, num_samples, winners):
     assert LossConfig(alpha=alpha, num_samples=num_samples).num_winners == winners
 
 

@@ -141,7 +141,7 @@ def test_when_it_has_stopped_its_port_is_soon_free() -> None:
         assert time.monotonic() < end_s
 
 
-def test_what_issource_topicsly_once_is_told_to_those_who_come_late() -> None:
+def test_what_is_said_only_once_is_told_to_those_who_come_late() -> None:
     kind, pose = "tf2_msgs/TFMessage", np.array([0.0, 0, 0, 0, 0, 0, 1])
     raws = [
         RawMessage(

@@ -234,7 +234,7 @@ def test_a_recording_is_never_overwritten(walk: Path, tmp_path: Path) -> None:
     assert (tmp_path / "drive.mcap").read_bytes() == b"of yesterday"
 
 
-def test_a_damaged_image_is_counted_andsource_topicsce(walk: Path) -> None:
+def test_a_damaged_image_is_counted_and_said_once(walk: Path) -> None:
     raws = messages_of(walk)
     damaged = next(raw for raw in raws if raw.topic == IMAGES)._replace(data=b"\x00\x01\x00\x00\x01")
     with running(walk) as run:

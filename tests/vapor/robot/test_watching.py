@@ -80,7 +80,7 @@ def test_one_that_hangs_holds_up_neither_images_nor_the_end(
     turn.set()
 
 
-def test_one_that_fails_issource_topicsce(estimate: Estimate) -> None:
+def test_one_that_fails_is_said_once(estimate: Estimate) -> None:
     told: list[str] = []
     with WatchingViewer(lambda: Shown(error=VaporTrackError("gone")), told.append) as viewer:
         show(viewer, estimate, 1)

@@ -56,6 +56,26 @@ def test_an_image_of_two_places_gives_a_posterior_with_both(tmp_path):
     assert np.mean(either) > 0.55  # with five seeds, with and without AVX: 0.63 to 0.73
 
 
+# --- precision ------------------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_only_the_loss_is_computed_in_bfloat16(tmp_path, monkeypatch):
+    """Its gradients, the optimiser's step and the average of the weights are not: autocast ends before them."""
+    seen = []
+
+    def watched(*arguments):
+        seen.append(torch.is_autocast_enabled("cpu"))
+        update_average(*arguments)
+
+    monkeypatch.setattr("vapor.training.epoch.uses_bfloat16", lambda config, device: True)
+    monkeypatch.setattr("vapor.training.epoch.update_average", watched)
+    config = replace(TINY, augment=STILL, epochs=1, batch_size=6, validation_fraction=0.0, resume=False)
+    train_on({"walk": make_frames(12, seed=5)}, tmp_path / "m.safetensors", config)
+    assert seen
+    assert not any(seen)
+
+
 # --- resume ---------------------------------------------------------------------------------------
 
 

@@ -90,7 +90,7 @@ def _missing(replay: Replay, images: Collection[int]) -> Replay:
 
 
 def frozen(replay: Replay, during: range) -> Replay:
-    """The last image is repeated, pixel by pixel. It is uninformative, and its ood_model stays as it was."""
+    """The last image is repeated, pixel by pixel. It is uninformative, and its score stays."""
     ood_score = np.full(len(replay.times_ns), replay.ood_score[max(during.start - 1, 0)])
     return shown(replay, during, lambda image: Poses.identity(0), ood_score)
 
@@ -219,7 +219,7 @@ class Fault:
         return range(0 if self.lasts == "throughout" else begin, len(times_ns))
 
 
-# To add a fault: a name, what the tables call it, and a function of `effects` or the name of a film.
+# To add a fault: a name, what the tables call it, and a function above or the name of a film.
 FAULTS: Mapping[str, Fault] = MappingProxyType(
     {
         "black": Fault("black images", "black"),

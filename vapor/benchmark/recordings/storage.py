@@ -88,7 +88,7 @@ class FileSettings:
 
     Attributes:
         made: Digest of everything that the file was made from.
-        seen_sha256: Of all that samples and ood_model of an image depend on.
+        seen_sha256: Of all that samples and OOD score of an image depend on.
         seed: Of the network's latent noise.
         images: How many, from the first one on; None for all.
         change: What is done to every image before the network sees it, one of `OUT_OF_DISTRIBUTION`; None for nothing.

@@ -76,7 +76,7 @@ class Setup:
 
     Attributes:
         model_sha256: Of the content of the model file.
-        network_sha256: Of all that samples and ood_model of an image depend on.
+        network_sha256: Of all that samples and OOD score of an image depend on.
         frames: Images of a trial.
         ablation: Name of the filter's ablation.
         odometry_scale: Error of the odometry's distances, as a fraction of them; None for a random one.
