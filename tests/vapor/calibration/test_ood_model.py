@@ -214,4 +214,4 @@ def test_the_benchmark_counts_what_is_flagged_of_every_kind(model, walks, capsys
 
 def test_a_model_that_knows_nothing_of_it_cannot_be_judged(tiny_model, walks, capsys):
     assert main(["vapor-benchmark", "out-of-distribution", str(tiny_model), "--known", walks[0]]) == 1
-    assert "the model has no ood_model" in capsys.readouterr().err
+    assert "the model file has no OOD model" in capsys.readouterr().err
