@@ -47,7 +47,7 @@ def atomic_output(path: Path) -> Iterator[Path]:
 
 
 def followed(path: Path) -> Path:
-    """Where a path leads: itself, or what it is a link to.
+    """Where a path leads: itself, or the target of a link.
 
     Raises:
         SequenceError: the link leads to nothing.
@@ -100,7 +100,7 @@ def clear_leftovers(place: Path) -> None:
 def move_in(work: Path, names: Iterable[str], *, instead_of: Iterable[str]) -> None:
     """Move files of `work / NEW` one by one into the folder that a workspace lies in.
 
-    If that fails or is interrupted, the workspace puts back what was there; if the process is killed, the next that
+    If that fails or is interrupted, the workspace restores the earlier files; if the process is killed, the next that
     clears leftovers does.
 
     Args:

@@ -64,7 +64,7 @@ class Camera:
 
 @dataclass(frozen=True)
 class Frame:
-    """One image of a sequence, with what is known about it.
+    """One image of a sequence, with its time, odometry and true pose.
 
     Attributes:
         time_ns: Header stamp of the image, integer nanoseconds.

@@ -52,7 +52,7 @@ class ReadingOptions:
     odometry; where that is not read, the frame that the true poses are of."""
     motion_noise: MotionNoise = field(default_factory=MotionNoise)
     """Noise of odometry whose messages carry no covariance (zeros, or -1 first), and of the axes that they state a
-    variance of 10 or more for, a placeholder for what is not measured."""
+    variance of 10 or more for, a placeholder for unmeasured axes."""
     stamps: Literal["header", "log"] = "header"
     """When messages are of: by the stamps in their headers or, where those are none, by the times they were logged."""
 
@@ -85,7 +85,7 @@ class SequenceOptions(ReadingOptions):
     """Take true poses from a file instead: TUM text, EuRoC's data.csv, or KITTI's with a file of times beside it."""
     poses_columns: str | None = None
     """Names of the columns of a file of poses in another format, as one word in quotation marks, such as "time tx ty tz
-    qw qx qy qz _": name in place of time for frames named by their stamps, _ for what is ignored."""
+    qw qx qy qz _": name in place of time for frames named by their stamps, _ for ignored columns."""
     poses_times: Path | None = None
     """Times of KITTI's poses, seconds, one a line. Default: times.txt beside the poses."""
     time_offset_s: float | Literal["auto"] = 0.0

@@ -1,7 +1,7 @@
 """Folders of results: complete or absent, listed by a manifest that is written last, and only replaced by results.
 
 A new folder is made beside its place and renamed. In an existing one files are replaced one by one, without a manifest
-meanwhile. The next command that reads or writes there puts back what a killed process left half replaced.
+meanwhile. The next command that reads or writes there restores files that a killed process left half replaced.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Listed:
             return cls(file.stat().st_size, hashlib.file_digest(content, "sha256").hexdigest())
 
     def is_of(self, file: Path) -> bool:
-        """Whether a file is what was listed."""
+        """Whether a file is as listed."""
         found = file.lstat()
         return stat.S_ISREG(found.st_mode) and found.st_size == self.size and Listed.of(file) == self
 
@@ -237,7 +237,7 @@ def require_replaceable(
 
 
 def _refuse_lost(directory: Path, unexpected: Collection[str], reads: Iterable[Path], writes: Collection[str]) -> None:
-    """Raise where replacing files by name would lose what is read, or a folder."""
+    """Raise where replacing files by name would lose a file that is read, or a folder."""
     names, place = sorted({*writes, MANIFEST}), directory.resolve()
     for path in reads:
         path = path.resolve()
@@ -281,7 +281,7 @@ def _remove_empty(folders: Iterable[Path]) -> None:
 
 
 def claim_folder(directory: Path, command: str, *, reads: Iterable[Path] = (), overwrite: bool = False) -> None:
-    """Make a folder in which a command keeps what it found, goes on after interruptions, and replaces only its own.
+    """Make a folder in which a command keeps its results, goes on after interruptions, and replaces only its own.
 
     Its manifest lists no files. Leftovers of killed processes are removed there and in all folders within, as the call
     that goes on may have nothing to write to some of them.

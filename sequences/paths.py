@@ -1,4 +1,4 @@
-"""Walking paths: stamps and poses of their images, halts, and the choice of one by what is seen on the way."""
+"""Walking paths: stamps and poses of their images, halts, and the choice of one by the things in view."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def halted(base: Poses, image_time_ns: int, duration_s: float, *, walks_on: bool
 
 
 Cues = Literal["early", "any", "none"]
-"""How much of what is unique in a scene a path passes: see `choose_path`."""
+"""How many unique things of a scene a path passes: see `choose_path`."""
 
 Look = Callable[[Poses, int, bool], Bool[np.ndarray, " n"]]
 """Whether each of the first so many images of a path shows something unique; closely, however small."""
@@ -131,7 +131,7 @@ def choose_path(
         num_images: On the path.
         poses_per_image: Poses of the body from one image to the next.
         draw: A random path for so many images.
-        look: What is seen on it.
+        look: The things in view on it.
 
     Returns:
         Poses of the body, as `draw` gives them; None if 100 random paths had nothing of the kind, with "none" only.

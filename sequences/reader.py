@@ -28,7 +28,7 @@ class SequenceReader:
         path: The file or folder.
         counts: Counts of the images of the latest iteration; complete after it.
         across_jumps: Frames of the latest iteration without a true pose because it jumps about them.
-        notices: What a person should know of the camera, the odometry and the true poses; complete after an iteration.
+        notices: Sentences for users on the camera, the odometry and the true poses; complete after an iteration.
         camera: Intrinsics of the undistorted images, as the file states their size; None where it has none.
         base_from_camera: Extrinsics, one pose; None where odometry is not read.
         num_images: Images in the whole file, for progress.
@@ -157,7 +157,7 @@ class SequenceReader:
         return self._timeline
 
     def _judge(self, pairing: FramePairing, timeline: Timeline) -> None:
-        """Add the notices of what was read. Raises SequenceError where nothing is usable."""
+        """Add the notices of the reading. Raises SequenceError where nothing is usable."""
         roles, motion = self._roles, pairing.motion
         images, odometry = timeline.span_ns([("", roles.image.name)]), timeline.span_ns(roles.odometry_keys)
         spacing_s = timeline.spacing_s(roles.odometry_keys)

@@ -159,7 +159,7 @@ def synthesize(
             "early" where there is anything and `cues` does not state otherwise; "train" paths show "any". The same seed
             gives different paths in the two. In a building, "train" paths of five seeds in a row begin evenly spread
             over a tour of all of it, and there are people on "test" paths.
-        cues: What is unique in the scene is passed "early", at will ("any"), or never ("none"); see `choose_path`.
+        cues: Unique things in the scene are passed "early", at will ("any"), or never ("none"); see `choose_path`.
         width, height: Image size in pixels; the horizontal field of view stays the same.
         noise: Of the odometry; None for that of the scene.
         rate_hz: Images a second; None for those of the scene, 10 everywhere but in buildings. Path and odometry follow

@@ -25,7 +25,7 @@ COMMANDS = {
     "posterior": "draw the posterior of one image",
     "evaluate": "measure the trajectories of a run against true poses",
 }
-"""Name -> what it does; each is a module of `vapor.commands`, imported only when it is called."""
+"""Name -> description; each is a module of `vapor.commands`, imported only when it is called."""
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -33,7 +33,7 @@ class ConversionSummary:
         num_images: Images written.
         skipped: Images left out, by reason.
         odometry: Source of the odometry, as stated in the file.
-        notices: What was left out, in sentences.
+        notices: Sentences on skipped rows and images.
     """
 
     num_images: int

@@ -19,7 +19,7 @@ where `list_images(path)` keeps to these rules:
 - An image or a pose that is not used is counted in `skipped` under its reason, in the words of the other layouts. A row
   that is damaged is left out by `sequences.files`, which refuses a file of which more than half is, and `notices`
   name the first. A header, a file that is missing, or rows that contradict each other raise SequenceError, which names
-  the file and the line, what was found and what was expected.
+  the file and the line, the value found and the value expected.
 - Files are read by `sequences.files`, and their numbers by `sequences.values`, within limits. No name in a file may
   lead out of the folder of the data set: `sequences.files` checks that.
 
@@ -56,7 +56,7 @@ class PosedImages:
         assumed_hz: The rate that stamps were made up with; None where they were recorded.
         skipped: Images and poses left out, by reason.
         sequence: Index of the sequence each image is from, (n,); None where all are from one.
-        notices: What was left out, in sentences.
+        notices: Sentences on skipped rows and images.
         read_points: Reads which points of a reconstruction the images show; None where there is none.
     """
 
@@ -89,7 +89,7 @@ class PosedImages:
             world_from_camera: True poses, batch (n,).
             numbers: Increasing frame numbers of each sequence, n in all.
             skipped: Images and poses left out, by reason; zeros are dropped.
-            notices: What was left out, in sentences.
+            notices: Sentences on skipped rows and images.
         """
         return cls(
             layout,

@@ -45,7 +45,7 @@ class PointsOfImages:
 
     Attributes:
         of: By the image.
-        notices: What was left out, in sentences.
+        notices: Sentences on skipped rows and images.
     """
 
     of: Mapping[ImageFile, SeenPoints] = field(default_factory=dict)

@@ -23,7 +23,7 @@ class EstimateOptions:
     """Which way the poses of named frames map, in all files. TUM trajectories are camera-to-world."""
     columns: str | None = None
     """Names of the columns of the files of estimates, as one word in quotation marks, such as "name qw qx qy qz tx ty
-    tz _ _ weight": time in place of name for stamps in seconds, _ for what is ignored. With a weight, such as the
+    tz _ _ weight": time in place of name for stamps in seconds, _ for ignored columns. With a weight, such as the
     number of inliers, a frame may have several lines, which are its hypotheses. Default: as above."""
     odometry_columns: str | None = None
     """Names of the columns of odometry, or of the true poses that it is simulated from, independent of --columns.

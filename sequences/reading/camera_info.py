@@ -31,7 +31,7 @@ class ImageCamera:
 
     Attributes:
         camera: Intrinsics of the first images, of the stated size, undistorted unless declined; None where unknown.
-        notices: What a person should know of that.
+        notices: Sentences for users.
     """
 
     def __init__(self, bag: MessageSource, info: Topic | None, image: Topic, *, undistort: bool = True) -> None:

@@ -102,7 +102,7 @@ class Unusable:
 
     @property
     def notices(self) -> list[str]:
-        """What a person should know of it."""
+        """Sentences for users."""
         return [f"{self.topic}: {self._summary}: left out"] if self.number else []
 
     @property

@@ -173,7 +173,7 @@ class _Listing:
 
     @property
     def notices(self) -> list[str]:
-        """What a person should know of it."""
+        """Sentences for users."""
         return [f"metadata.yaml does not list {self.unlisted_names}: not read"] if self.unlisted else []
 
     @property

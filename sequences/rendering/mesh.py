@@ -70,7 +70,7 @@ class Placement:
     """A part and where its copies stand.
 
     Attributes:
-        part: What is placed.
+        part: The mesh.
         offsets: Translation of every copy, metres.
         headings: Angle by which every copy is turned about z before that, radians; None for none.
         lit_at: Index of the copy whose light all copies wear.

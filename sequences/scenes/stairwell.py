@@ -1,4 +1,4 @@
-"""The stairwell of the scene `staircase`: sizes, materials, and what its floors share."""
+"""The stairwell of the scene `staircase`: sizes, materials, and the parts that its floors share."""
 
 from __future__ import annotations
 

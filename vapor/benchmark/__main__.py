@@ -17,7 +17,7 @@ COMMANDS = {
     "live-faults": "let faults happen to a robot that `vapor-track live` follows",
     "regressors": "train every method on every scene, and measure recall, errors and densities",
 }
-"""Name -> what it does; each is a module of `vapor.benchmark.commands`, imported only when it is called."""
+"""Name -> description; each is a module of `vapor.benchmark.commands`, imported only when it is called."""
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -68,7 +68,7 @@ class Comparison:
 
     Attributes:
         poses: Poses of every method by its name in `METHODS`, world_from_camera, batches (n,).
-        beliefs: What the filter and each baseline believed, by name.
+        beliefs: Of the filter and each baseline, by name.
         image_modes: Places of each image's posterior alone, (n,).
         particles: Median number of particles of the filter.
         step_ms: Median milliseconds of a step of the filter.

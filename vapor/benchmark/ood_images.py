@@ -59,7 +59,7 @@ class Flagged:
     """How often images of a kind were flagged as other.
 
     Attributes:
-        kind: Name of the data, or of what was done to the known images.
+        kind: Name of the data, or of the change of the known images.
         median: Median score.
         fraction: Fraction of the images with a score above 1.
         fraction_in_a_row: Of the images with nine before them, the fraction where the median of the ten is above 1; NaN

@@ -28,11 +28,11 @@ PRIOR_ROTATION, PRIOR_TRANSLATION = "prior_poses.rotation", "prior_poses.transla
 MEMORY_ROTATION, MEMORY_TRANSLATION = f"{MEMORY}rotation", f"{MEMORY}translation"
 """Names of the tensors that hold the poses in memory."""
 LANDMARKS = "landmarks."
-"""What the names of the tensors of landmarks begin with in a file."""
+"""Prefix of the names of the tensors of landmarks in a file."""
 LANDMARKS_ROTATION = f"{LANDMARKS}rotation"
 """Name of the tensor that holds the rotations of the key images."""
 MEMORY_FIELDS = "keys", "views", "translation", "rotation"
-"""What is remembered of training images, in the order of `Memory`."""
+"""The memory of training images, in the order of `Memory`."""
 HALVED_MEMORY = "keys", "views"
 """What of a memory is stored as float16 where that is asked for: poses are exact."""
 POSES: Mapping[str, tuple[int, ...]] = MappingProxyType({"rotation": (3, 3), "translation": (3,)})

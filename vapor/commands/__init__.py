@@ -1,1 +1,1 @@
-"""One module a command of `vapor-track`: its options, and what it prints."""
+"""One module a command of `vapor-track`: its options and its output."""

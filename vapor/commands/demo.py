@@ -38,7 +38,7 @@ class Options:
     """Synthesize a sequence, localize in it with the model that ships, and compare with single images."""
 
     scene: tyro.conf.Positional[_Scene] = "staircase"
-    """What the camera moves through."""
+    """The scene."""
     output: OutputPath | None = None
     """Directory for sequence and results, new or with earlier ones. Default: demo/SCENE."""
     overwrite: Overwrite = False

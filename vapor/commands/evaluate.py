@@ -94,7 +94,7 @@ class Options:
     ground_truth.tum in the directory."""
     columns: str | None = None
     """Names of the columns of true poses in another format, as one word in quotation marks, such as "time tx ty tz qw
-    qx qy qz _": name in place of time for frames named by their stamps, _ for what is ignored."""
+    qx qy qz _": name in place of time for frames named by their stamps, _ for ignored columns."""
     time_offset_s: float | Literal["auto"] = 0.0
     """Seconds to add to the stamps of true poses; auto finds them by comparing rotations."""
     output: OutputPath | None = None

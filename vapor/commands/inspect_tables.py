@@ -44,7 +44,7 @@ def parts(found: Inspection) -> Iterator[Part]:
     """All findings, the verdict last."""
     yield _walks(found.walks)
     if found.coverage is not None:
-        yield Part("What they show", [*_coverage_lines(found, found.coverage)])
+        yield Part("Coverage", [*_coverage_lines(found, found.coverage)])
     yield Part("Odometry", [*_odometry_lines(found), *_clock_lines(found.clocks)])
     if views := [*_view_lines(found.walks)]:
         yield Part("Images against poses", views)
@@ -109,7 +109,7 @@ def _coverage_lines(found: Inspection, coverage: Coverage) -> Iterator[str]:
     if not coverage.by_recordings:
         shown = [f"{100 * float((others > 0).mean()):.0f} %"]
     yield (
-        f"of {len(others)} images another {what} shows what is there (within {coverage.split.near_m:.2g} m and 45°):"
+        f"of {len(others)} images another {what} shows the same ground (within {coverage.split.near_m:.2g} m and 45°):"
         f" {', '.join(shown)}"
     )
     segments = coverage.alone()

@@ -23,7 +23,7 @@ class Options:
     """Render a sequence through a synthetic scene, with odometry and true poses."""
 
     scene: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="{" + ",".join(scene_names()) + "}")]
-    """What the camera moves through. The number N draws a building, with a camera and an odometry of its own."""
+    """The scene. The number N draws a building, with a camera and an odometry of its own."""
     output: Annotated[tyro.conf.Positional[OutputPath], tyro.conf.arg(metavar="OUT.mcap")]
     """MCAP file to write, new or synthesized before."""
     overwrite: Overwrite = False

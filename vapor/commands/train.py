@@ -85,7 +85,7 @@ class Options:
     hour; demo: the network of the models that ship; tables: small and fast, for the scenes of that name; paper-...: the
     paper's."""
     method: Method | None = None
-    """What is trained: the variational regressor, one without its sampling or its KL divergence, or another one.
+    """The method: the variational regressor, one without its sampling or its KL divergence, or another one.
     Default: that of the preset, which is retrieval for auto and variational for all others."""
     config: Annotated[TrainConfig, tyro.conf.arg(name="")] = PRESETS["auto"]
     reading: Annotated[SequenceOptions, tyro.conf.arg(name="")] = field(default_factory=SequenceOptions)

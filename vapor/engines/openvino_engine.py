@@ -55,7 +55,7 @@ class OpenVINOEngine:
         self.noise_dim: int = compiled.inputs[1].partial_shape[1].get_length()
 
     def run(self, image: UInt8[np.ndarray, "h w 3"], noise: Float32[np.ndarray, "m d"]) -> Seen:
-        """What the network makes of an image."""
+        """The network's output for an image."""
         found = self._request.infer([np.ascontiguousarray(image), noise], share_inputs=True)
         translation, rotation, *description = (found[number] for number in range(self._outputs))
         return Seen(translation, rotation, description[0] if description else np.zeros(0, np.float32))

@@ -1,1 +1,1 @@
-"""What was recorded, and whether it is good enough to train on."""
+"""Quality of recordings for training."""

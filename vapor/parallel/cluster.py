@@ -79,7 +79,7 @@ def packed(function: Callable[..., Any], job: tuple) -> bytes:
 
 
 def do(content: bytes, expected: About) -> Done | Failed | Refused:
-    """Do a packed job, if this process is what was expected."""
+    """Do a packed job, if this process has the expected versions."""
     from distributed import get_worker
 
     worker = get_worker()
@@ -234,7 +234,7 @@ def connected(address: str, notify: Callable[[str], None]) -> Iterator[Cluster]:
     def report(event: tuple[float, Any]) -> None:
         about = event[1]
         if isinstance(about, dict) and about.get("action") == "remove-worker" and not about.get("expected"):
-            notify(f"worker {about['worker']} went away; what it was doing is done again by others")
+            notify(f"worker {about['worker']} went away; its job is done again by others")
 
     try:
         expected = about_this()

@@ -1,1 +1,1 @@
-"""What a run leaves behind: record, report, a recording for the Rerun viewer."""
+"""Results of a run: record, report, a recording for the Rerun viewer."""

@@ -1,4 +1,4 @@
-"""What a run leaves in memory for its report: little per image, and a few keyframes."""
+"""The record of a run in memory: little per image, and a few keyframes."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class EvenlySpaced(Generic[Item]):
 
 @dataclass(frozen=True)
 class Keyframe:
-    """One image of the run in full: what the camera saw and what the filter believed.
+    """One image of the run in full: the camera's image and the filter's belief.
 
     The thumbnail, RGB, has at most 320 pixels along its longer side, and is empty where there is no image. The cloud
     has 300 equally weighted poses, world_from_camera; the spread is their root mean square distance from their mean,

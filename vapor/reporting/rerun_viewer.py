@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 _CLOUD_SIZE = 300
 _FRUSTA = 40  # samples of an image's posterior that are shown as cameras
 _IMAGES_AT_ONCE = 32  # are sent, where nobody watches
-_FLUSH_S = 2.0  # that a viewer elsewhere gets to take what is under way
+_FLUSH_S = 2.0  # that a remote viewer has for messages under way
 _JUMP_M = 0.5  # an estimate that moves so much farther than the odometry changed its mind
 _UNKNOWN_M, _UNKNOWN_SMALL_M = 0.5, 0.12  # sizes of cameras, where nothing is known of the place
 
@@ -105,7 +105,7 @@ class RerunViewer:
         """Show one image, the belief after it, and samples (m,) of the image's own posterior.
 
         Raises:
-            VaporTrackError: what came before could not be written.
+            VaporTrackError: an earlier message could not be written.
         """
         import rerun as rr
 

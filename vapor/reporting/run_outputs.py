@@ -55,7 +55,7 @@ class RunOutputs:
         """Write and show one image, of which the filter alone has made something so far.
 
         Raises:
-            SequenceError, VaporTrackError: it cannot be written, or what came before could not.
+            SequenceError, VaporTrackError: it, or an earlier step, cannot be written.
         """
         estimate = step.estimate
         step = replace(step, baselines=self._baselines.step(frame.time_ns, step.posterior, frame.odometry))

@@ -101,7 +101,7 @@ class MessageRecorder:
                     self._bytes -= len(raw.data)
             self._writer.finish()
         except OSError as error:
-            self.error = f"{self.path}: recording ended: {error.strerror or error}; what was written is {self._partial}"
+            self.error = f"{self.path}: recording ended: {error.strerror or error}; the part written is {self._partial}"
             while not self._waiting.empty() and self._waiting.get() is not None:
                 self.lost += 1
 

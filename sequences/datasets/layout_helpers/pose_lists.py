@@ -42,7 +42,7 @@ def list_named(
         root: Folder that the names are relative to.
         world_from_camera: One pose by the name of each image, or why it has none.
         folders: Where other images than these should not be, beside their own folders: they are counted as left out.
-        notices: What was left out, in sentences.
+        notices: Sentences on skipped rows and images.
 
     Raises:
         SequenceError: a name leads out of the folder.
@@ -67,7 +67,7 @@ def list_numbered(
         layout: Name of the layout.
         sequences: Of each, images and poses by their numbers.
         skipped: Images and poses left out so far, by reason; those without their counterpart are added.
-        notices: What was left out, in sentences.
+        notices: Sentences on skipped rows and images.
     """
     files: list[Path] = []
     poses: list[Poses] = []

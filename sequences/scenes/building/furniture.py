@@ -1,4 +1,5 @@
-"""The furniture of a building, and what a room gets. Each piece has its back to the wall y = 0 and begins at x = 0."""
+"""The furniture of a building, and the furniture of a room. Each piece has its back to the wall y = 0 and begins at x
+= 0."""
 
 from __future__ import annotations
 
@@ -20,7 +21,7 @@ class Piece:
     """A piece of furniture.
 
     Attributes:
-        part: What it is made of.
+        part: Its mesh.
         width, depth, height: The box around it, metres, from x = y = z = 0.
     """
 

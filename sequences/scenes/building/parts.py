@@ -1,4 +1,4 @@
-"""Materials of a building, and what its spaces are built of: walls with openings, floors, ceilings, lamps, doors."""
+"""Materials of a building, and the parts of its spaces: walls with openings, floors, ceilings, lamps, doors."""
 
 from __future__ import annotations
 

@@ -56,10 +56,10 @@ def resampled(line: Float64[np.ndarray, "n k"], spacing: float) -> Float64[np.nd
 
 @dataclass(frozen=True)
 class Slot:
-    """A segment of one side of a corridor, and what is behind it.
+    """A segment of one side of a corridor, and the space behind it.
 
     Attributes:
-        kind: What is there.
+        kind: Of space.
         high: On the side of high y of the block, or of low y.
         begin, end: Where along the corridor, metres.
         door: Centre of the door along the corridor; of stairs and wings the middle.

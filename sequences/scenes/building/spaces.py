@@ -49,7 +49,7 @@ def free_walls(plan: Plan, block: Block, shortest: float) -> list[tuple[bool, fl
 
 
 def corridor(plan: Plan, index: int, looks: Looks, style: int) -> Part:
-    """The corridor of a block, on the levels of one style, without what is behind its openings."""
+    """The corridor of a block, on the levels of one style, without the spaces behind its openings."""
     part, block, palette = Part(), plan.blocks[index], looks.palettes[style]
     length, width, clear = block.length, block.width, plan.clear
     add_slab(part, length, width, 0.0, palette.corridor_floor, True)

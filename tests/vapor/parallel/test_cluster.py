@@ -54,7 +54,7 @@ def test_two_workers_do_two_jobs_at_a_time_and_what_a_killed_one_was_doing_is_do
         first = [pid for number, pid in jobs.begun(tmp_path) if number == 0]
         assert len(first) == 2
         until(lambda: told)
-        assert "went away; what it was doing is done again by others" in told[0]
+        assert "went away; its job is done again by others" in told[0]
         until(lambda: cluster.size == 2)
 
 

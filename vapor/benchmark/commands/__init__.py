@@ -1,1 +1,1 @@
-"""One module a command of `vapor-benchmark`: its options, and what it prints."""
+"""One module a command of `vapor-benchmark`: its options and its output."""

@@ -106,7 +106,7 @@ class Options(SceneOptions):
         tyro.conf.Positional[tuple[str, ...]],
         tyro.conf.arg(metavar=f"{{{','.join(SCENE_NAMES)}}} ..."),
     ] = ()
-    """What the camera moves through; the number N of a building is the seed that it is drawn from. None beside
+    """The scene; the number N of a building is the seed that it is drawn from. None beside
     recordings."""
     recordings: tuple[InputPath, ...] = ()
     """MCAP files or rosbag2 folders, or their URLs, with odometry and true poses, each a walk, instead of scenes; the
@@ -140,7 +140,7 @@ class Options(SceneOptions):
 
     @property
     def files_read(self) -> list[Path]:
-        """The model files, and what is read of recordings."""
+        """The model files, and the data of recordings."""
         if not self.recordings:
             return super().files_read
         read = [file for recording in self.recordings for file in listing.files_read(recording)]

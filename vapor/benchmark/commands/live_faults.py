@@ -23,7 +23,7 @@ from vapor.storage import fetched
 
 @dataclass(frozen=True)
 class Options:
-    """Let faults happen to a robot that `live` follows: what is published, when it is not sure, how it recovers."""
+    """Let faults happen to a robot that `live` follows: published messages, time without convergence, recovery."""
 
     model: str
     """Model file, or name of a model that ships: staircase, ceiling."""

@@ -70,7 +70,7 @@ def tables(summary: Summary) -> Iterator[Table]:
 
 
 def headline(summary: Summary) -> str:
-    """What came of it, a sentence for each scene and kind of run."""
+    """The result, a sentence for each scene and kind of run."""
     sentences = []
     for scene, kinds in summary.items():
         for kind, ablations in kinds.items():

@@ -28,7 +28,7 @@ SharedOutputPath = Annotated[Path, path_given_by(path_or_url_to_write)]
 def claim_shared(
     directory: Path, command: str, workers: Workers, *, reads: Iterable[Path] = (), overwrite: bool = False
 ) -> None:
-    """As `claim_folder`, of a folder that all workers see, or of the copy of what a URL stands for.
+    """As `claim_folder`, of a folder that all workers see, or of the copy of a URL's folder.
 
     Raises:
         VaporTrackError: as there, a worker does not see the folder, or the storage cannot be used.
@@ -47,7 +47,7 @@ def claim_shared(
 
 
 def publish_results(directory: Path) -> None:
-    """Write what a command found, which lies in a folder itself, to the folder's URL where it has one."""
+    """Write the result files of a command to the folder's URL, if it has one."""
     for file in sorted(directory.iterdir()) if url_of(directory) is not None else ():
         if file.is_file():
             published(file)
@@ -67,7 +67,7 @@ class SceneOptions:
         tyro.conf.Positional[tuple[str, ...]],
         tyro.conf.arg(metavar=f"{{{','.join(SCENE_NAMES)}}} ..."),
     ]
-    """What the camera moves through; the number N of a building is the seed that it is drawn from."""
+    """The scene; the number N of a building is the seed that it is drawn from."""
     output: SharedOutputPath
     """Directory for recordings, results and summary.json, or its URL; an interrupted benchmark with the same output
     continues."""

@@ -158,10 +158,10 @@ class Options:
     """Localize recordings made by others: images, stored posteriors, and published estimates; some trained on first."""
 
     data: Path
-    """Folder with the recordings; what is missing there is left out."""
+    """Folder with the recordings; rows without data are left out."""
     output: SharedOutputPath
     """Directory for models, sequences, recordings, results and summary.json, or its URL; an interrupted benchmark
-    continues, and what was made with the same settings and code is not made again."""
+    continues, and results of the same settings and code are kept."""
     overwrite: Overwrite = False
     only: tuple[str, ...] = ()
     """Rows or groups of rows, such as tum_fr1 or stairs; all by default."""

@@ -49,7 +49,7 @@ class Timing:
     """Wall-clock time of one part of a step.
 
     Attributes:
-        part: What was timed.
+        part: Name of the part.
         median_ms: Median over the repetitions, milliseconds.
         p95_ms: 95th percentile, milliseconds.
         p99_ms: 99th percentile, milliseconds.
@@ -119,7 +119,7 @@ def time_by_turns(parts: Mapping[str, Callable[[], object]], repetitions: int) -
     """Time calls that take turns, so that all have their share of what else the machine does.
 
     Args:
-        parts: The calls by what is timed.
+        parts: The calls by name.
         repetitions: Of each, after three that are not counted.
     """
     durations_ms: dict[str, list[float]] = {part: [] for part in parts}

@@ -1,6 +1,6 @@
 """How well a method does with a fault: how soon it notices, whether it is right again, whether it was ever fooled.
 
-And what all walks with all faults add up to.
+And sums over all walks and faults.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def longest_run(flags: Bool[np.ndarray, " n"]) -> tuple[int, int]:
 
 
 def summarise_faults(results: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
-    """What all walks add up to, by scene and fault, the run without a fault first.
+    """Sums over all walks, by scene and fault, the run without a fault first.
 
     Returns:
         For each, the number of `walks`, and for each of `methods`: `successes`; the fractions of `evaluate_fault`,

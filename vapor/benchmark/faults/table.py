@@ -183,7 +183,7 @@ def _reported(replay: Replay, during: range, change: Callable[[Odometry], Odomet
 
 
 def _at_rest(duration_s: float) -> Odometry:
-    """What the simulated odometry reports of a robot at rest."""
+    """The simulated odometry of a robot at rest."""
     times_ns = np.array([0, round(1e9 * STATED_OVER_S)], np.int64)
     _, twists = simulate_odometry(times_ns, Poses.identity(2), OdometryNoise(), rng=np.random.default_rng(0))
     return Odometry(Poses.identity(), twists[1] * STATED_OVER_S * duration_s, duration_s)
@@ -202,7 +202,7 @@ class Fault:
 
     Attributes:
         meaning: What, as the tables call it.
-        cause: What it changes in a replay, or what the camera shows instead.
+        cause: Its change of a replay, or the film that the camera shows instead.
         lasts: For `FAULT_S`, to the end of the walk, or throughout the walk.
         delay_s: By how many seconds it delays something; where images are further apart, it changes nothing.
     """
@@ -219,7 +219,7 @@ class Fault:
         return range(0 if self.lasts == "throughout" else begin, len(times_ns))
 
 
-# To add a fault: a name, what the tables call it, and a function above or the name of a film.
+# To add a fault: a name, its label in tables, and a function above or the name of a film.
 FAULTS: Mapping[str, Fault] = MappingProxyType(
     {
         "black": Fault("black images", "black"),

@@ -65,11 +65,11 @@ class SyntheticWalk:
         return trial_settings(self.trial, self.setup)
 
     def replay(self, directory: Path) -> Replay:
-        """What the methods are given without a fault."""
+        """The input of the methods without a fault."""
         return load_replay(self.trial, self.setup, directory.parent)
 
     def beliefs(self, replay: Replay) -> Mapping[str, Belief]:
-        """What the methods believe after each image of a replay."""
+        """The beliefs of the methods after each image of a replay."""
         return follow_trial(self.trial, self.setup, replay).beliefs
 
     def films(self) -> Mapping[Film, RecordingSettings | FileSettings]:
@@ -155,14 +155,14 @@ class RecordedWalk:
         return json.loads(json.dumps(setup_settings(self.setup) | {"recordings": [self.own.name]}))
 
     def replay(self, directory: Path) -> Replay:
-        """What the methods are given without a fault."""
+        """The input of the methods without a fault."""
         recording = load_recording(self.own, directory)
         odometry = tuple(map(recording.motion, range(len(recording.times_ns))))
         truth, posterior_poses = recording.path.world_from_camera, recording.posterior_poses
         return Replay(recording.times_ns, odometry, truth, posterior_poses, recording.ood_score, 0)
 
     def beliefs(self, replay: Replay) -> Mapping[str, Belief]:
-        """What the methods believe after each image of a replay."""
+        """The beliefs of the methods after each image of a replay."""
         return follow_replay(replay, self.setup, seed=(self.seed,)).beliefs
 
     def count(self) -> int:

@@ -1,4 +1,4 @@
-"""Faults with live traffic: what is published during them, when `live` is not sure, and how it recovers."""
+"""Faults with live traffic: published messages, time without convergence, and recovery."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ class Fault:
     """A fault, or a way to run with one all the time.
 
     Attributes:
-        label: What it is.
-        begin: What the robot is asked to do at its beginning.
+        label: For tables.
+        begin: Command to the robot at its beginning.
         end: And at its end.
         lasts_s: How long.
         killed: Whether the robot is killed, and restarted at the end.
@@ -115,10 +115,10 @@ class Timelines:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a fault.
+    """The outcome of a fault.
 
     Attributes:
-        label: What it was.
+        label: Of the fault.
         sure_after_s: Seconds from the first image to the estimate that was `converged` for 5 s; None for never.
         poses_per_s: Of the camera, during the fault.
         transforms_per_s: Likewise of tf.
@@ -166,7 +166,7 @@ def sure_from(statuses: Sequence[tuple[float, str]], from_s: float, end_s: float
 
 
 def wrong_for(times_s: Sequence[float], errors_m: Sequence[float], *, most_s: float = 0.2) -> float:
-    """Seconds during which what was published was more than a metre off.
+    """Seconds during which published poses were more than a metre off.
 
     Args:
         times_s: When it was published, increasing.

@@ -53,7 +53,7 @@ class Latency:
 
 @dataclass(frozen=True)
 class Usage:
-    """What a process takes.
+    """Resources of a process.
 
     Attributes:
         first_mb: Resident memory, the mean of the first minutes after it has warmed up, megabytes.
@@ -72,7 +72,7 @@ class Usage:
 
 @dataclass(frozen=True)
 class Measured:
-    """What was measured of one camera.
+    """Measurements of one camera.
 
     Attributes:
         rate: Images a second.
@@ -80,7 +80,7 @@ class Measured:
         pose: From an image to the pose of the camera.
         base_pose: From odometry to the pose of the base, which is not published while the estimate is not converged.
         usage: Of the process.
-        late_p99_ms: How late messages were published, milliseconds, 99 %: what there is beside latencies.
+        late_p99_ms: How late messages were published, milliseconds, 99 %.
     """
 
     rate: float
@@ -94,7 +94,7 @@ class Measured:
 
     @property
     def stored(self) -> dict[str, Any]:
-        """All of it, as JSON has it: None for what is not known."""
+        """All of it, as JSON; None for unknown values."""
         return {
             name: {key: None if each != each else each for key, each in value.items()}
             if isinstance(value, dict)
@@ -298,7 +298,7 @@ def measure(
 
 
 def require_alone(transport: Transport) -> None:
-    """Check that nobody else publishes anything. Raises VaporTrackError with what they do."""
+    """Check that nobody else publishes anything. Raises VaporTrackError with the publishers."""
     if offers := transport.offers():
         names = ", ".join(offer.topic for offer in offers[:3]) + ", ..." * (len(offers) > 3)
         raise VaporTrackError(
@@ -322,7 +322,7 @@ def _play_until_answered(playing: Iterator[Sent], live: LiveProcess, poses: Answ
 def _play_and_watch(
     playing: Iterator[Sent], live: LiveProcess, duration_s: float, advance: Callable[[int, int], None]
 ) -> tuple[_AllSent, Usage]:
-    """Play for so long; gives what was sent, and what the process took each second."""
+    """Play for so long; gives the messages sent, and the resources of the process each second."""
     begin_s, begin_processor_s = time.monotonic(), live.processor_s
     sent = _AllSent()
     times_s: list[float] = []

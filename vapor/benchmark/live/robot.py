@@ -26,7 +26,7 @@ _FOUND_S = 1.0
 
 @dataclass(frozen=True)
 class RobotConfig:
-    """What a robot plays.
+    """The traffic of a robot.
 
     Attributes:
         recording: The walk.

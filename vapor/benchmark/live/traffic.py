@@ -105,7 +105,7 @@ def read_walk(recording: Path) -> Walk:
     )
 
 
-# --- when what is played ----------------------------------------------------------------------------
+# --- schedule ----------------------------------------------------------------------------
 
 
 @overload
@@ -197,7 +197,7 @@ class Traffic:
     """All messages of a robot whose camera has some rate and size, encoded before.
 
     Args:
-        walk: What it does.
+        walk: Its path.
         rate: Images a second.
         size: Width and height of the images; None for that of the recording.
         odometry_hz: Messages of odometry a second; as nearly as a whole number fits into the way there and back.
@@ -249,7 +249,7 @@ class Traffic:
             begin_s += self.timeline.duration_s
 
     def _encode_odometry(self, walk: Walk) -> list[bytes]:
-        """Odometry of the way there and back; what is stated of its noise is as large as before along the same way."""
+        """Odometry of the path there and back; its stated noise along the same path is equal."""
         at_ns = self.timeline.recorded_ns(self._odometry_s)
         poses, _ = interpolate(walk.odometry_ns, walk.odom_from_base, at_ns, max_gap_s=np.inf)
         message = np.clip(np.searchsorted(walk.odometry_ns, at_ns), 1, len(walk.odometry_ns) - 1)

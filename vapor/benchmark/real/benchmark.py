@@ -26,7 +26,7 @@ from vapor.tracking.follow import Followed, follow
 
 
 def summarise(results: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
-    """What the draws of each row add up to, by its name and the images that are evaluated.
+    """Sums over the draws of each row, by its name and the images that are evaluated.
 
     Returns:
         For each, `group`, `draws`, `images`, `unit_m`; `methods`: for each of `LOCALIZING` the `median_translation_m`,
@@ -141,7 +141,7 @@ class RealConfig(EngineConfig):
 
 
 def choose(data: Path, only: Sequence[str]) -> tuple[list[Row], dict[str, list[str]]]:
-    """The rows asked for whose data are all there, and what is missing for the others, by their names.
+    """The rows asked for whose data are all there, and the missing data of the others, by their names.
 
     Args:
         data: Folder with the recordings.

@@ -16,12 +16,12 @@ from vapor.engines.engine import EngineConfig
 from vapor.tracking.follow import Segment
 
 Advance = Callable[[str, int, int | None], None]
-"""Called with what is being done, how much of it is done, and how much there is."""
+"""Called with the name of the work, the amount done, and the total."""
 
 
 @dataclass(frozen=True)
 class RowContext:
-    """Where a row finds its data and stores what it makes.
+    """Where a row finds its data and stores its results.
 
     Attributes:
         data: Folder with the recordings of others.

@@ -56,7 +56,7 @@ def _copied_rooms() -> CopiedPlaces:
 
 
 def _copied_desk() -> CopiedPlaces:
-    """Two desks side by side; what the camera sees above and below stands at the second only."""
+    """Two desks side by side; the parts above and below stand at the second only."""
     rpy, xyz = (f"tum_fr1/rgbd_dataset_freiburg1_{name}" for name in ("rpy", "xyz"))
     blocks = tuple(f"{rpy}@{start}:{start + 20}" for start in range(0, 719, 30))
     return CopiedPlaces(

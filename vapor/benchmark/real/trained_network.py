@@ -119,7 +119,7 @@ class TrainedNetwork:
         )
 
     def _sequence(self, context: RowContext, seed: int) -> tuple[Path, str]:
-        """The converted file, and a digest of what it is made from."""
+        """The converted file, and a digest of its sources."""
         noise = asdict(OdometryNoise()) if self.odometry is None else self.odometry
         made = digest({"dataset": self.dataset, "frames": self.frames, "odometry": noise, "seed": seed})
         return context.folder("sequences") / f"{self.name}-{seed}-{made}.mcap", made
@@ -153,7 +153,7 @@ def trained_model(
 def record_posteriors(
     context: RowContext, settings: FileSettings, file: Callable[[], Path], checkpoint: Checkpoint, seed: int
 ) -> dict[str, Any]:
-    """Record the posteriors of a file unless that is done; returns what they depend on, as JSON."""
+    """Record the posteriors of a file unless that is done; returns their settings, as JSON."""
     recordings = context.folder("recordings")
     if not_recorded([settings], recordings):
         context.advance("computing posteriors", seed, None)

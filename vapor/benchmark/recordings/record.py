@@ -93,7 +93,7 @@ def camera_path(settings: RecordingSettings, directory: Path) -> CameraPath:
     """Where the camera of a recording goes: as recorded, or as it will be if there is no recording yet.
 
     Raises:
-        VaporTrackError: there is no such sequence, or what is there was made with other settings.
+        VaporTrackError: there is no such sequence, or it was made with other settings.
     """
     if (directory / settings.name).is_dir():
         return load_path(settings, directory)

@@ -41,12 +41,12 @@ class RecordingSettings:
 
     Attributes:
         seed: Of the path and of all noise.
-        cues: What is unique along the path.
+        cues: Unique things along the path.
         frames: Number of images of the path.
         network_sha256: Of all that the answer of the network depends on.
         stand: The image at which the camera stops, and for how many seconds it stands; None if it does not stop.
         part: The first of the images that are recorded, and how many; None for all.
-        change: What is done to every image before the network sees it, one of `OUT_OF_DISTRIBUTION`; None for nothing.
+        change: Change of every image before the network sees it, one of `OUT_OF_DISTRIBUTION`; None for nothing.
         odometry_scale: Error of the odometry's distances, as a fraction of them; None for a random one.
         precision: Of the network's arithmetic; engines agree within rounding.
         camera: The camera that it is rendered with, the numbers of `Camera`; None for that of its scene.
@@ -91,7 +91,7 @@ class FileSettings:
         seen_sha256: Of all that samples and OOD score of an image depend on.
         seed: Of the network's latent noise.
         images: How many, from the first one on; None for all.
-        change: What is done to every image before the network sees it, one of `OUT_OF_DISTRIBUTION`; None for nothing.
+        change: Change of every image before the network sees it, one of `OUT_OF_DISTRIBUTION`; None for nothing.
     """
 
     sequence: str
@@ -244,7 +244,7 @@ def _verified(stored: Mapping[str, np.ndarray]) -> tuple[tuple[VerifiedPose, ...
 
 
 def _checked(settings: RecordingSettings | FileSettings, folder: Path) -> Mapping[str, np.ndarray]:
-    """What a recording holds beside its samples, after checking that its settings are these."""
+    """The arrays of a recording beside its samples, after checking that its settings are these."""
     try:
         found, content = read_json(folder / SETTINGS), read_arrays(folder / PATH)
     except SequenceError as error:

@@ -27,7 +27,7 @@ class TableConfig:
     """Settings of the table."""
 
     methods: tuple[str, ...] = tuple(name for name in METHODS if name != "retrieval")
-    """What is trained, as `vapor-track train --method`."""
+    """Methods, as of `vapor-track train --method`."""
     seeds: int = 3
     """Training runs of each method on each scene."""
     first_seed: int = 0
@@ -80,7 +80,7 @@ def parse_scene(text: str) -> Scene:
 
 
 class TableExperiment:
-    """One training run for each scene, method and seed; what is done is not done again.
+    """One training run for each scene, method and seed; finished ones are kept.
 
     Args:
         scenes: From `parse_scene`.
@@ -104,7 +104,7 @@ class TableExperiment:
             require_no_leakage(scene.train, scene.test)
             if config.train.validation_fraction > 0:
                 require_no_leakage(scene.train)
-        if config.localize:  # what the filter cannot read is refused now, not after training
+        if config.localize:  # unreadable sequences are refused now, not after training
             for entry in (entry for scene in scenes for entry in scene.test):
                 SequenceReader(parse_entry(entry)[0])
 
@@ -145,7 +145,7 @@ class TableExperiment:
 
 @dataclass(frozen=True)
 class SceneTable:
-    """What the methods did on one scene: medians over the seeds, and for recall of several its least and most.
+    """Results of the methods on one scene: medians over the seeds, and for recall of several its least and most.
 
     Attributes:
         scene: Its name.

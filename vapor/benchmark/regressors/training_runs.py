@@ -93,7 +93,7 @@ def render_scenes(
     height: int,
     workers: Workers,
 ) -> Iterator[tuple[int, int, list[Scene]]]:
-    """Render what is missing of synthetic scenes; yields the number of walks done, of all, and the scenes they make.
+    """Render missing walks of synthetic scenes; yields the number of walks done, of all, and the scenes they make.
 
     Args:
         names: Of synthetic scenes.
@@ -191,7 +191,7 @@ def trained_from(scene: Scene, config: TrainConfig) -> dict[str, Any]:
 
 
 def carry_out(runs: Sequence[TrainingRun], directory: Path, workers: Workers) -> Iterator[dict[str, Any]]:
-    """The result of every training run, in no order; what is done is not done again.
+    """The result of every training run, in no order; finished ones are kept.
 
     A training whose worker dies goes on from its last epoch, on whichever worker is next to take it up: its state lies
     beside where its model will, until it is done.

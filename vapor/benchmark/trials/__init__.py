@@ -1,1 +1,1 @@
-"""Trials on synthetic sequences: which there are, what the methods are given of each, and how well they did."""
+"""Trials on synthetic sequences: their choice, the input of the methods, and the results."""

@@ -18,11 +18,11 @@ from vapor.benchmark.recordings.storage import CameraPath
 
 @dataclass(frozen=True)
 class TrialKind:
-    """What the trials of a kind have in common.
+    """Properties of the trials of a kind.
 
     Attributes:
         meaning: What happens, in words.
-        cues: What is unique along the walks that they are cut from.
+        cues: Unique things along the walks that they are cut from.
         cut: How: "window", a segment with a landmark in view in its first half; "kidnap", two segments; "whole", a
             whole walk; "stand", a walk that ends where the camera stops and stands for minutes.
         like: The kind whose figures describe them: whether the filter finds itself ("cue"), whether it is confident of
@@ -103,7 +103,7 @@ class Trial:
     """One run of a benchmark.
 
     Attributes:
-        segments: What the camera sees, one after the other: two if it is carried off, else one.
+        segments: One after the other: two if it is carried off, else one.
         stride: Only every so many of the images are seen; odometry between them adds up.
     """
 

@@ -30,7 +30,7 @@ from vapor.tracking.follow import Followed, Segment, follow, posterior_of
 
 @dataclass(frozen=True)
 class Replay:
-    """What the methods of a trial are given of n images.
+    """The input of the methods of a trial, n images.
 
     Attributes:
         times_ns: Stamps (n,), without a break.
@@ -146,7 +146,7 @@ def run_trial(trial: Trial, setup: Setup, directory: Path) -> dict[str, Any]:
 
 
 def localize(trial: Trial, setup: Setup, replay: Replay) -> dict[str, Any]:
-    """The result of a trial, see `run_trial`, from what the methods are given of it."""
+    """The result of a trial, see `run_trial`, from the input of the methods."""
     followed = follow_trial(trial, setup, replay)
     first, kind = trial.segments[0], KINDS[trial.kind]
     sequences = {}

@@ -125,7 +125,7 @@ class Setup:
 
 
 def make_setups(scenes: Mapping[str, str], config: TrialsConfig) -> dict[str, Setup]:
-    """What the runs of each scene depend on.
+    """Settings of the runs of each scene.
 
     Args:
         scenes: Names of scenes, each with the model to localize by: a file, or the name of one that ships.

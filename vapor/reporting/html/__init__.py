@@ -1,1 +1,1 @@
-"""Pages: what a command found, as one HTML file that needs no network."""
+"""Pages: the findings of a command as one HTML file that needs no network."""

@@ -1,4 +1,4 @@
-"""A page that shows what a command found: one HTML file that needs no network."""
+"""A page with the findings of a command: one HTML file that needs no network."""
 
 from __future__ import annotations
 

@@ -89,7 +89,7 @@ def _asked(report: Mapping[str, Any], settings: Mapping[str, Any]) -> str:
     odometry = sequence.get("odometry", settings.get("odometry"))
     if odometry is None:
         return asked
-    kind = odometry.partition(": ")[0]  # of what is simulated, the noise
+    kind = odometry.partition(": ")[0]  # of simulated odometry, the noise
     return f"{asked}. Odometry: {kind if kind.startswith('simulated') else odometry}"
 
 
