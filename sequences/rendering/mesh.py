@@ -70,7 +70,7 @@ class Placement:
     """A part and where its copies stand.
 
     Attributes:
-        part: The mesh.
+        part: Its triangles and paint.
         offsets: Translation of every copy, metres.
         headings: Angle by which every copy is turned about z before that, radians; None for none.
         lit_at: Index of the copy whose light all copies wear.

@@ -145,7 +145,7 @@ def render(
     """Linear radiance at the pixels, averaged over an exposure.
 
     Args:
-        scene: The scene.
+        scene: Painted and lit surfaces.
         camera: Intrinsics.
         world_from_camera: Camera poses during the exposure, batch (k,); each gives one sample per pixel, at another
             place in the pixel, so that motion blur and antialiasing cost no more than either.

@@ -52,8 +52,8 @@ def verdict(
         found += _images(walk)
     if camera is not None and camera.disagrees:
         found.append(
-            "correct the intrinsics (camera_info, intrinsics.json), or leave them to `train`, which takes for landmarks"
-            f" what fits: {camera.in_words}"
+            "correct the intrinsics (camera_info, intrinsics.json), or leave them to `train`, which uses"
+            f" the fitted ones for landmarks: {camera.in_words}"
         )
     found += _without(walks)
     if coverage is not None and predictions is not None:

@@ -74,7 +74,7 @@ class LandmarkMap:
         points: Metres, (p, 3).
         descriptors: In a byte a number (`features.stored`), (p, d).
         rotation: Of world_from_camera of the key images, (n, 3, 3).
-        translation: Likewise, metres, (n, 3).
+        translation: Of world_from_camera of the key images, metres, (n, 3).
         begins: Where the points of each key image begin in `shown`, and where those of the last one end, (n + 1,).
         shown: The points that key images show, image by image, (s,).
         mean: See `Basis`, (128,).

@@ -1,5 +1,4 @@
-"""The furniture of a building, and the furniture of a room. Each piece has its back to the wall y = 0 and begins at x
-= 0."""
+"""The furniture of a building. Each piece has its back to the wall y = 0 and begins at x = 0."""
 
 from __future__ import annotations
 
@@ -21,7 +20,7 @@ class Piece:
     """A piece of furniture.
 
     Attributes:
-        part: Its mesh.
+        part: Its triangles and paint.
         width, depth, height: The box around it, metres, from x = y = z = 0.
     """
 

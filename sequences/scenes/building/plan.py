@@ -59,7 +59,7 @@ class Slot:
     """A segment of one side of a corridor, and the space behind it.
 
     Attributes:
-        kind: Of space.
+        kind: Of the space behind it.
         high: On the side of high y of the block, or of low y.
         begin, end: Where along the corridor, metres.
         door: Centre of the door along the corridor; of stairs and wings the middle.

@@ -12,7 +12,7 @@ const narrow = () => window.innerWidth < 640;
 const config = { responsive: true, displaylogo: false, modeBarButtons: [["toImage"]],
   toImageButtonOptions: { format: "png", scale: 3 } };
 
-// What depends on light or dark: told to every figure again where that changes.
+// What depends on light or dark: set again in every figure when that changes.
 function themed(layout) {
   const axis = { gridcolor: style("--line"), zerolinecolor: style("--line"), linecolor: style("--line") };
   const out = { ...layout, paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)",
