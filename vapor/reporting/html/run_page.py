@@ -128,7 +128,7 @@ def _sections(record: RunRecord, report: Mapping[str, Any], settings: Mapping[st
     if (errors := error_plot(record)) is not None:
         columns, rows = method_table(report)
         ours = [number for number, row in enumerate(rows) if row[0] == METHODS["filter"].label]
-        caption = "Errors, and the fraction of images within both limits; no trajectory was aligned"
+        caption = "Medians, and the fraction of images within both limits; no trajectory was aligned"
         sections.append(section("Errors", [table(columns, rows, caption, ours)]))
         over_time.append(errors)
     sections.append(section("Over time", [*over_time, belief_plot(record)]))
