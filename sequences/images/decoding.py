@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from types import SimpleNamespace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -60,7 +60,6 @@ def decode_image_bytes(data: bytes) -> UInt8[np.ndarray, "height width 3"]:
     Raises DamagedImageError for a JPEG that is cut off, or whose coded pixels end early: it would decode to a grey or
     shifted image. Raises SequenceError for other bytes, and above 100 megapixels.
     """
-    data = bytes(data)
     check_before_decoding(data)
     image = _decoded(data)
     # Where coded pixels are missing, the decoder leaves the rest grey. A camera may also see a grey corner: then more
@@ -82,7 +81,7 @@ def _decoded(data: bytes) -> UInt8[np.ndarray, "height width 3"]:
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)  # pyright: ignore[reportReturnType]
 
 
-def decode_compressed_image(message: SimpleNamespace) -> UInt8[np.ndarray, "height width 3"]:
+def decode_compressed_image(message: Any) -> UInt8[np.ndarray, "height width 3"]:
     """sensor_msgs/CompressedImage -> RGB. Raises SequenceError as `decode_image_bytes`, and for depth.
 
     `format` marks grey pixels as a Bayer mosaic: image_transport writes `ENCODING; png compressed ` for stored pixels,
@@ -94,7 +93,7 @@ def decode_compressed_image(message: SimpleNamespace) -> UInt8[np.ndarray, "heig
     encoding = _NAMES.get(named[-1].lower(), named[-1]) if named else ""
     _require_image(encoding)
     try:
-        image = decode_image_bytes(message.data)
+        image = decode_image_bytes(bytes(message.data))
     except DamagedImageError:
         raise
     except SequenceError as error:
@@ -112,7 +111,7 @@ def _require_image(encoding: str) -> None:
         )
 
 
-def decode_image(message: SimpleNamespace) -> UInt8[np.ndarray, "height width 3"]:
+def decode_image(message: Any) -> UInt8[np.ndarray, "height width 3"]:
     """sensor_msgs/Image -> RGB; 16-bit values keep their upper 8 bits.
 
     Raises SequenceError for an unknown encoding or depth, too few data, or more than 100 megapixels.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from types import SimpleNamespace
+from typing import Any
 
 from filtering.se3 import Poses
 from sequences.errors import NotFoundError, SequenceError
@@ -132,7 +132,7 @@ class Extrinsics:
         """Topics that would show that the camera moves on its body."""
         return (TF_STATIC, *([TF] if any(not step.static for step in self.path) else [])) if self.path else ()
 
-    def require_fixed(self, raw: RawMessage, message: SimpleNamespace) -> None:
+    def require_fixed(self, raw: RawMessage, message: Any) -> None:
         """Take a message of tf. Raises SequenceError where a link of the path moves."""
         links = {step.link: step for step in self.path}
         for t in transforms_from_message(message, links)[0]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import heapq
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping
-from types import SimpleNamespace
+from typing import Any
 
 from filtering.motion import Odometry
 from sequences.errors import SequenceError
@@ -89,13 +89,13 @@ class FramePairing:
         self._counts = self.skipped.counts
         self._images = roles.open_images()
         # A heap: order, number of images before, stamp, and message, None for a lost one.
-        self._waiting: list[tuple[int, int, int, SimpleNamespace | None]] = []
+        self._waiting: list[tuple[int, int, int, Any]] = []
         self._images_ns: tuple[int, int] | None = None  # earliest and latest stamp
         self.previous_ns: int | None = None
         self._previous_covered = False  # by odometry
         self.frames_span_ns: tuple[int, int] | None = None
 
-    def take(self, raw: RawMessage, message: SimpleNamespace | None) -> None:
+    def take(self, raw: RawMessage, message: Any) -> None:
         """Take a message; None for undecodable bytes. Raises SequenceError where a fixed camera moves."""
         if raw.topic == self._roles.image.name:
             self._counts.read += 1
@@ -131,7 +131,7 @@ class FramePairing:
         if self._images.remembers:  # those after it build on it
             self._wait(self._latest_ns, None)
 
-    def _take_image(self, raw: RawMessage, message: SimpleNamespace | None) -> None:
+    def _take_image(self, raw: RawMessage, message: Any) -> None:
         if message is None:
             self._leave_out_image("undecodable image", raw.log_time_ns)
             return
@@ -143,7 +143,7 @@ class FramePairing:
         else:
             self._counts.skipped[OUTSIDE] += 1
 
-    def _wait(self, time_ns: int, message: SimpleNamespace | None) -> None:
+    def _wait(self, time_ns: int, message: Any) -> None:
         """Keep an image: in the order of stamps, or as it came where those after it build on it."""
         order = 0 if self._images.remembers else time_ns
         heapq.heappush(self._waiting, (order, self._counts.read, time_ns, message))

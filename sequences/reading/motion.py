@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 
@@ -55,7 +55,7 @@ class MotionOfCamera:
         self._origin = np.array(roles.options.ground_truth_origin or (0.0, 0.0, 0.0))
         self._num_true = 0
 
-    def take(self, raw: RawMessage, message: SimpleNamespace | None, *, before_images: bool) -> None:
+    def take(self, raw: RawMessage, message: Any, *, before_images: bool) -> None:
         """Take a message of any topic but the images'; None for undecodable bytes.
 
         `before_images` is true while no image came: only a late image may need poses of long before. Raises
@@ -78,7 +78,7 @@ class MotionOfCamera:
             unusable.note(raw.log_time_ns, problem)
             self._skipped.message(f"unusable {what}", raw.log_time_ns, problem)
 
-    def _check_extrinsics(self, raw: RawMessage, message: SimpleNamespace) -> None:
+    def _check_extrinsics(self, raw: RawMessage, message: Any) -> None:
         """Take a message of tf: a camera that moves on its base has no odometry, where it can do without."""
         roles = self._roles
         for extrinsics in self.source_topics.get(raw.topic, ()):
@@ -92,9 +92,7 @@ class MotionOfCamera:
                     self._skipped.message(reason, raw.log_time_ns, str(error))
                     self._moves_from_ns = min(stamp_ns(stamped.header) for stamped in message.transforms)
 
-    def _take_poses(
-        self, raw: RawMessage, message: SimpleNamespace | None, source: PoseSource, what: str, before_images: bool
-    ) -> None:
+    def _take_poses(self, raw: RawMessage, message: Any, source: PoseSource, what: str, before_images: bool) -> None:
         samples, problems = ([], [self._roles.why_undecodable(raw)]) if message is None else source.samples(message)
         for problem in (*problems, *(None for _ in samples)):
             self._count(what, raw, problem)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from types import SimpleNamespace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
@@ -29,7 +28,7 @@ from sequences.trajectories.pose_window import Motion, PoseWindow, is_jump
 
 MAX_GAP_S = 0.25
 _MAX_STILL_GAP_S = 2.0
-_POSE_OF: Mapping[str, Callable[[SimpleNamespace], Poses]] = {
+_POSE_OF: Mapping[str, Callable[[Any], Poses]] = {
     "geometry_msgs/PoseStamped": lambda message: pose_from_message(message.pose),
     "geometry_msgs/PoseWithCovarianceStamped": lambda message: pose_from_message(message.pose.pose),
     "geometry_msgs/TransformStamped": lambda message: pose_from_transform(message.transform),
@@ -61,7 +60,7 @@ class PoseSource:
         topic: str,
         path: Sequence[Step],
         body_from_camera: Poses,
-        samples: Callable[[SimpleNamespace], tuple[list[Sample], list[str]]],
+        samples: Callable[[Any], tuple[list[Sample], list[str]]],
         *,
         max_gap_s: float,
         still_gap_s: float = 0.0,
@@ -163,7 +162,7 @@ def poses_of_topic(topic: Topic, body_from_camera: Poses, *, max_gap_s: float) -
     """Poses of a body on a topic of any type but a path, and of the camera that is fixed on it."""
     link, pose_of = ("", topic.name), _POSE_OF[topic.read_as]
 
-    def samples(message: SimpleNamespace) -> tuple[list[Sample], list[str]]:
+    def samples(message: Any) -> tuple[list[Sample], list[str]]:
         try:
             return [Sample(link, stamp_ns(message.header), pose_of(message))], []
         except VaporTrackError as error:
@@ -177,7 +176,7 @@ def odometry_of_topic(topic: Topic) -> PoseSource:
     """Poses of the base, with twist covariances."""
     link = ("", topic.name)
 
-    def samples(message: SimpleNamespace) -> tuple[list[Sample], list[str]]:
+    def samples(message: Any) -> tuple[list[Sample], list[str]]:
         try:
             sample = odometry_from_message(message)
         except VaporTrackError as error:
@@ -194,7 +193,7 @@ def poses_of_tree(
     """Poses along a path of tf, and of the camera that is fixed at its end."""
     links = {step.link for step in path if not step.static}
 
-    def samples(message: SimpleNamespace) -> tuple[list[Sample], list[str]]:
+    def samples(message: Any) -> tuple[list[Sample], list[str]]:
         transforms, problems = transforms_from_message(message, links)
         return [Sample((t.parent, t.child), t.time_ns, t.parent_from_child) for t in transforms], problems
 

@@ -12,7 +12,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 from types import SimpleNamespace
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Int64
@@ -123,7 +123,7 @@ class Dated(NamedTuple):
     """
 
     raw: RawMessage
-    message: SimpleNamespace | None
+    message: Any
     num_odd: int
     stamps_ns: tuple[tuple[Key, int], ...]
     keys: tuple[Key, ...]
@@ -261,7 +261,7 @@ class Timeline:
             f" expected increasing ones{helps}"
         )
 
-    def _headers(self, topic: str, message: SimpleNamespace | None) -> list[tuple[Key, SimpleNamespace]]:
+    def _headers(self, topic: str, message: Any) -> list[tuple[Key, Any]]:
         """The headers that count, with their streams."""
         links = self._watched[topic]
         if message is None:

@@ -8,7 +8,6 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
-from mcap_ros2._dynamic import serialize_dynamic
 
 from sequences.datasets.frames import posed_frames
 from sequences.errors import SequenceError
@@ -18,7 +17,7 @@ from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
 from sequences.reading.camera_info import ImageCamera
 from sequences.recordings.bag import Bag
-from sequences.recordings.message_definitions import decoder, schema_name, schema_text
+from sequences.recordings.message_definitions import decoder, encoder
 from sequences.writer import SequenceWriter
 from tests.helpers.sequence_files import BASE_FROM_CAMERA, BEGIN_NS, Walk, rewrite, world_from_camera
 from tests.helpers.sequence_files import CAMERA as SMALL
@@ -123,15 +122,14 @@ def test_a_recording_is_read_as_a_pinhole_camera_would_have_made_it(lens: Lens, 
 
 def with_info(source: Path, target: Path, change: Callable[[SimpleNamespace], None]) -> Path:
     """A copy whose CameraInfo says something else."""
-    name, schema = "sensor_msgs/CameraInfo", schema_text("sensor_msgs/CameraInfo")
-    encode = serialize_dynamic(schema_name(name), schema)[schema_name(name)]
+    name = "sensor_msgs/CameraInfo"
 
     def data(topic: str, time_ns: int, data: bytes) -> bytes:
         if topic != "/camera/camera_info":
             return data
         message = decoder(name)(data)
         change(message)
-        return encode(message)
+        return encoder(name)({field: value for field, value in vars(message).items() if field != "__msgtype__"})
 
     return rewrite(source, target, data=data)
 

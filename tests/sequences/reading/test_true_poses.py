@@ -201,7 +201,7 @@ def test_a_link_that_is_told_seldom_covers_while_it_hardly_moves(tmp_path: Path)
 @pytest.mark.parametrize("with_tree", [True, False])
 @pytest.mark.usefixtures("unchecked")
 def test_memory_does_not_grow_with_the_file(with_tree: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sequences.recordings.recording_file._MAX_KEPT_BYTES", 0)
+    monkeypatch.setattr("sequences.recordings.mcap_file._MAX_KEPT_BYTES", 0)
     peaks = []
     for num_images in (20, 80):
         times = stamps(num_images)
