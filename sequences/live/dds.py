@@ -29,8 +29,7 @@ from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
 from filtering.errors import VaporTrackError
-from sequences.live.options import DdsOptions
-from sequences.live.transport import Offer, Publish
+from sequences.live.transport import DdsOptions, Offer, Publish
 from sequences.recordings.source import RawMessage
 
 _DEPTH, _LATCHED_DEPTH = 100, 1000  # messages kept for slow and for late subscribers

@@ -160,31 +160,35 @@ class TabledPoses(PoseSource):
 
 def poses_of_topic(topic: Topic, body_from_camera: Poses, *, max_gap_s: float) -> PoseSource:
     """Poses of a body on a topic of any type but a path, and of the camera that is fixed on it."""
-    link, pose_of = ("", topic.name), _POSE_OF[topic.read_as]
+    pose_of = _POSE_OF[topic.read_as]
 
-    def samples(message: Any) -> tuple[list[Sample], list[str]]:
-        try:
-            return [Sample(link, stamp_ns(message.header), pose_of(message))], []
-        except VaporTrackError as error:
-            return [], [str(error)]
+    def samples(message: Any) -> list[Sample]:
+        return [Sample(("", topic.name), stamp_ns(message.header), pose_of(message))]
 
-    path = [Step(*link, Poses.identity(), static=False, upwards=False)]
-    return PoseSource(topic.name, path, body_from_camera, samples, max_gap_s=max_gap_s)
+    return _source_of_topic(topic, body_from_camera, samples, max_gap_s=max_gap_s)
 
 
 def odometry_of_topic(topic: Topic) -> PoseSource:
     """Poses of the base, with twist covariances."""
-    link = ("", topic.name)
 
+    def samples(message: Any) -> list[Sample]:
+        found = odometry_from_message(message)
+        return [Sample(("", topic.name), found.time_ns, found.odom_from_base, found.twist_covariance)]
+
+    return _source_of_topic(topic, Poses.identity(), samples, max_gap_s=MAX_ODOMETRY_GAP_S, watch_jumps=False)
+
+
+def _source_of_topic(
+    topic: Topic, body_from_camera: Poses, read: Callable[[Any], list[Sample]], **window: Any
+) -> PoseSource:
     def samples(message: Any) -> tuple[list[Sample], list[str]]:
         try:
-            sample = odometry_from_message(message)
+            return read(message), []
         except VaporTrackError as error:
             return [], [str(error)]
-        return [Sample(link, sample.time_ns, sample.odom_from_base, sample.twist_covariance)], []
 
-    path, base = [Step(*link, Poses.identity(), static=False, upwards=False)], Poses.identity()
-    return PoseSource(topic.name, path, base, samples, max_gap_s=MAX_ODOMETRY_GAP_S, watch_jumps=False)
+    path = [Step("", topic.name, Poses.identity(), static=False, upwards=False)]
+    return PoseSource(topic.name, path, body_from_camera, samples, **window)
 
 
 def poses_of_tree(

@@ -27,7 +27,6 @@ from filtering.se3 import Poses
 from sequences.datasets.layout import Layout, PosedImages
 from sequences.datasets.layout_helpers.colmap_binary import (
     LARGEST_ID,
-    NUM_PARAMETERS,
     UNDISTORTER,
     camera_rows,
     image_rows,
@@ -126,7 +125,10 @@ def _read_cameras(file: Path) -> dict[str, Camera | Lens]:
         if camera_id in cameras:
             raise SequenceError(f"{where}: camera {quoted(camera_id)} for the second time, expected it once")
         if model not in _MODELS:
-            raise SequenceError(f"{where}: {_way_out(model)}")
+            raise SequenceError(
+                f"{where}: camera model {quoted(model)} cannot be undistorted here, expected one of"
+                f" {', '.join(_MODELS)}; {UNDISTORTER}"
+            )
         num_focal, distortion, names = _MODELS[model]
         num_parameters = num_focal + 2 + len(names.split())
         parameters = parse_numbers(fields[4:], where, f"those of `{_CAMERA_COLUMNS}`")
@@ -138,18 +140,6 @@ def _read_cameras(file: Path) -> dict[str, Camera | Lens]:
         coefficients = [stated.get(name, 0.0) for name in _ORDERS[distortion].split()][: max(len(stated), 4)]
         cameras[camera_id] = lens_of(where, camera, distortion, coefficients)
     return cameras
-
-
-def _way_out(model: str) -> str:
-    """The end of the error for a camera model that cannot be undistorted here."""
-    if model not in NUM_PARAMETERS:
-        return f"camera model {quoted(model)} is unknown, expected one of COLMAP's, such as {', '.join([*_MODELS][:5])}"
-    if model == "EQUIRECTANGULAR":
-        return (
-            f"camera model {model} is of panoramas, expected perspective images: COLMAP's example panorama_sfm.py"
-            " renders them"
-        )
-    return f"camera model {model} cannot be undistorted here; {UNDISTORTER}"
 
 
 def _read_images(

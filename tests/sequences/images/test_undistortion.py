@@ -81,12 +81,6 @@ def test_images_of_another_size_are_undistorted_alike() -> None:
     assert camera is None
 
 
-def test_pinhole_cameras_and_unknown_ones_leave_images_as_they_are() -> None:
-    image = taken_by(CAMERA)
-    assert undistorted(image, CAMERA) == (image, CAMERA)
-    assert undistorted(image, None) == (image, None)
-
-
 def test_a_distortion_that_no_lens_has_is_refused() -> None:
     with pytest.raises(SequenceError, match=r"coefficients -400, 0, 0, 0 of plumb_bob fold the image"):
         pinhole_of(Lens(CAMERA, "plumb_bob", (-400.0, 0.0, 0.0, 0.0)))
@@ -277,14 +271,3 @@ def test_what_is_no_camera_is_named(changes: dict[str, object], said: str, plain
         camera_of(plain, tmp_path, changes)
     if "d" in changes:
         assert camera_of(plain, tmp_path, changes, undistort=False).camera == CAMERA
-
-
-def test_a_recording_with_a_bad_camera_info_is_refused_by_name(tmp_path: Path) -> None:
-    def damage(message: SimpleNamespace) -> None:
-        message.d = [0.1, float("nan"), 0.0, 0.0, 0.0]
-
-    path = with_info(write_walk(tmp_path / "a.mcap", CAMERA), tmp_path / "b.mcap", damage)
-    with pytest.raises(SequenceError, match=r"b\.mcap: /camera/camera_info: distortion coefficient 2 is nan"):
-        SequenceReader(path)
-    assert len(list(SequenceReader(path, SequenceOptions(undistort=False)))) == 2
-    assert len(list(SequenceReader(path, SequenceOptions(camera_info_topic="")))) == 2

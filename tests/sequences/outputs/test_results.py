@@ -8,7 +8,7 @@ import pytest
 
 from sequences.atomic import NEW, atomic_output
 from sequences.errors import SequenceError
-from sequences.outputs import MANIFEST, claim_folder, read_manifest, refuse_other, results_folder, verify
+from sequences.outputs import MANIFEST, claim_folder, read_manifest, refuse_other, verify
 from tests.helpers.results import WRITES, contents, interrupt, refused, whole, write
 
 
@@ -77,14 +77,6 @@ def test_what_is_read_is_never_replaced(tmp_path):
     (out / "poses.txt").write_text("truth")
     write(out, "second", reads=[out / "poses.txt"], overwrite=True)
     assert contents(out)["poses.txt"] == "truth"
-
-
-def test_a_sequence_that_results_list_stays_where_they_are_written_anew(tmp_path):
-    with results_folder(tmp_path, "demo", writes=[*WRITES, "sequence.mcap"]) as new:
-        (new / "sequence.mcap").write_text("images")
-    refused(tmp_path, "sequence.mcap (which is read)", reads=[tmp_path / "sequence.mcap"])
-    write(tmp_path, "new", reads=[tmp_path / "sequence.mcap"], overwrite=True)
-    assert contents(tmp_path)["sequence.mcap"] == "images"
 
 
 def test_links_are_followed_unless_they_lead_nowhere(tmp_path):

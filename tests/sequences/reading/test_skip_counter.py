@@ -136,17 +136,6 @@ def test_odometry_stamps_that_stand_or_run_backwards_are_skipped(tmp_path: Path)
     assert reader.skipped.keys() == {f"{ODD} on /odom"}
 
 
-def test_a_true_pose_that_is_not_finite_is_left_out(tmp_path: Path) -> None:
-    walk = Walk()
-    walk.truth[4] = (walk.truth[4][0], Poses(np.eye(3), np.array([np.inf, 0.0, 0.0])))
-    reader = SequenceReader(walk.write(tmp_path / "walk.mcap"), true_poses="required")
-    frames = list(reader)
-    assert [n for n, frame in enumerate(frames) if frame.world_from_camera is not None] == [
-        n for n in range(12) if n != 4
-    ]
-    assert reader.skipped == {"unusable true poses": 1}
-
-
 def far_ahead(of_topic: str, walk: Path, target: Path) -> Path:
     """A copy in which one message of a topic, about half a second after the first image, is stamped years later."""
     at_ns = BEGIN_NS + {IMAGES: 500_000_000, "/odom": 507_000_000, "/ground_truth/pose": 500_000_000}[of_topic]
