@@ -219,6 +219,10 @@ class Rows:
         for row in rows:
             self.num_rows += 1
             yield row
+        self.require_few()
+
+    def require_few(self) -> None:
+        """Raise SequenceError where more than half of the rows could not be used."""
         if self.num_unusable > _MOST_UNUSABLE * self.num_rows:
             raise SequenceError(
                 f"{self._first}; {self.num_unusable} of {self.num_rows} {self._what} cannot be used,"
@@ -234,9 +238,13 @@ class Rows:
         except SequenceError as error:
             if not self.tolerant:
                 raise
-            self.num_unusable += 1
-            self._first = self._first or str(error)
+            self.leave_out(str(error))
             return self._reason(error)
+
+    def leave_out(self, problem: str) -> None:
+        """Count one of the rows as unusable."""
+        self.num_unusable += 1
+        self._first = self._first or problem
 
     @property
     def notices(self) -> list[str]:

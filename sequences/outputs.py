@@ -207,12 +207,8 @@ def results_folder(
             write_manifest(new, command, {file.name: Listed.of(file) for file in sorted(new.iterdir())})
             if not is_new:
                 _replace_files(work, writes if overwrite else (), reads)
-            elif not directory.exists():
+            else:
                 os.rename(new, directory)
-            else:  # it was made meanwhile
-                work = stack.enter_context(workspace(directory, directory.name))
-                os.rename(new, work / NEW)
-                _replace_files(work, writes if overwrite else (), reads)
 
 
 def require_replaceable(
@@ -252,7 +248,6 @@ def _refuse_lost(directory: Path, unexpected: Collection[str], reads: Iterable[P
 
 
 def _replace_files(work: Path, names: Collection[str], reads: Iterable[Path]) -> None:
-    """Replace files one by one: those that the earlier manifest lists, and those of some names."""
     directory = work.parent
     manifest = own_manifest(directory)
     before = {} if manifest is None else manifest["files"] or {}

@@ -117,7 +117,6 @@ def convert(
 def _odometry(
     images: PosedImages, recorded: Path | None, noise: OdometryNoise | None, seed: int
 ) -> _OdometryTrack | None:
-    """Recorded odometry where there is some, else simulated, else none."""
     camera_from_base = BASE_FROM_CAMERA.inverse()
     if recorded is not None:
         trajectory = read_tum(recorded)

@@ -185,7 +185,7 @@ class EstimateSequence:
         rows = Rows("poses")
         file = read_poses(path, None if beside else self._options.direction, columns, rows)
         self.notices += rows.notices
-        return replace(file, poses=Poses(file.poses.rotation, file.poses.translation * self._options.unit_m))
+        return file
 
     def _set_clocks(self, source: PoseFile, truth: PoseFile | None) -> None:
         """Add the time offset to the stamps of estimates; notice clocks that differ by the rotations."""
@@ -235,7 +235,6 @@ class EstimateSequence:
         return tracks
 
     def _true_poses(self) -> tuple[Poses | None, np.ndarray]:
-        """True poses of all frames, and which of them are known."""
         if self._truth is None:
             return None, np.zeros(len(self._frames), bool)
         known_ns = np.array([self._times_ns[frame] for frame in self._truth.frames], np.int64)
@@ -282,7 +281,6 @@ def _require_common(file: PoseFile, other: PoseFile) -> None:
 
 
 def _by_frame(files: Sequence[PoseFile]) -> dict[FrameName, Shaped[np.ndarray, " h"]]:
-    """Hypotheses of each frame, file by file."""
     found: dict[FrameName, list[tuple[int, float, np.ndarray]]] = {}
     for number, file in enumerate(files):
         weights = np.ones(len(file.frames)) if file.weights is None else file.weights

@@ -129,7 +129,6 @@ def decode_image(message: Any) -> UInt8[np.ndarray, "height width 3"]:
 def _converted(
     pixels: UInt8[np.ndarray, "height width channels"], encoding: str
 ) -> UInt8[np.ndarray, "height width 3"]:
-    """Pixels of an encoding, their upper 8 bits, as RGB."""
     conversion = _ENCODINGS[encoding][2]
     if conversion is None:
         return np.array(pixels)  # the message's own bytes are not writeable

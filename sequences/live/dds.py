@@ -158,7 +158,6 @@ class DdsTransport:
             self._error = _reason(error)
 
     def _listen(self) -> None:
-        """Deliver messages until the transport is closed."""
         while not self._closed:
             self._waitset.wait(_LONG_NS)
             self._changed.set(False)

@@ -9,7 +9,8 @@ import numpy as np
 from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
-from sequences.reading.counts import SkipCounter, Unusable
+from sequences.files import Rows
+from sequences.reading.counts import SkipCounter
 from sequences.reading.extrinsics import Extrinsics
 from sequences.reading.pose_sources import PoseSource
 from sequences.reading.roles import Roles
@@ -23,7 +24,7 @@ from sequences.trajectories.pose_window import PoseWindow
 class MotionOfCamera:
     """How the camera moved, by odometry and by true poses, as far as a recording was read.
 
-    `across_jumps` counts frames without a true pose because it jumps about them; `unusable` messages are by kind.
+    `across_jumps` counts frames without a true pose because it jumps about them; `rows` counts poses, by kind.
     """
 
     def __init__(self, roles: Roles, skipped: SkipCounter, *, over_gaps: bool) -> None:
@@ -31,7 +32,7 @@ class MotionOfCamera:
         self._over_gaps = over_gaps
         self.across_jumps = 0
         self._roles, self._skipped = roles, skipped
-        self.unusable: dict[str, Unusable] = {}
+        self.rows: dict[str, Rows] = {}
         self._motion_noise = roles.options.motion_noise
         self._base_from_camera = roles.extrinsics.body_from_camera if roles.extrinsics is not None else None
         self.source_topics: dict[
@@ -72,10 +73,10 @@ class MotionOfCamera:
 
     def _count(self, what: str, raw: RawMessage, problem: str | None) -> None:
         """Count a message, or a transform in it: as unusable where there is a problem."""
-        unusable = self.unusable.setdefault(what, Unusable(what, raw.topic))
-        unusable.total += 1
+        rows = self.rows.setdefault(what, Rows(what))
+        rows.num_rows += 1
         if problem is not None:
-            unusable.note(raw.log_time_ns, problem)
+            rows.leave_out(f"{self._roles.path}: {raw.topic} at {raw.log_time_ns} ns: {problem}")
             self._skipped.message(f"unusable {what}", raw.log_time_ns, problem)
 
     def _check_extrinsics(self, raw: RawMessage, message: Any) -> None:

@@ -159,7 +159,7 @@ def _route_of_file(
 ) -> PoseRoute:
     file = Path(options.poses or "")
     rows = Rows("poses")
-    trajectory = read_pose_table(file, options.poses_times, rows, options.poses_columns)
+    trajectory = read_pose_table(file, rows, options.poses_columns)
     extrinsics = mount.on(bag, frame_name(options.ground_truth_child_frame or ""))
     offset_s, notices = options.time_offset_s, rows.notices
     if offset_s == "auto":

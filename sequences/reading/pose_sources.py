@@ -11,8 +11,8 @@ from jaxtyping import Float64
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
+from sequences.files import Rows
 from sequences.frame import Trajectory
-from sequences.reading.counts import Unusable
 from sequences.reading.extrinsics import Step, along
 from sequences.recordings.messages import (
     frame_name,
@@ -212,13 +212,13 @@ def frames_of_topic(bag: MessageSource, topic: Topic) -> tuple[str, str]:
     return frame_name(message.header.frame_id), frame_name(getattr(message, "child_frame_id", ""))
 
 
-def read_path(bag: MessageSource, topic: Topic) -> tuple[Trajectory, Unusable]:
+def read_path(bag: MessageSource, topic: Topic) -> tuple[Trajectory, Rows]:
     """Poses of nav_msgs/Path: the last message where it begins no later than the first one, else all in turn.
 
     Raises:
         SequenceError: damaged messages, no poses, poses without stamps of their own, or more than half unusable.
     """
-    unusable = Unusable("true poses", topic.name)
+    rows = Rows("true poses")
     last = None
     for raw in bag.messages([topic.name]):
         last = raw
@@ -241,16 +241,16 @@ def read_path(bag: MessageSource, topic: Topic) -> tuple[Trajectory, Unusable]:
             time_ns = stamp_ns(stamped.header)
             if times_ns and time_ns <= times_ns[-1]:
                 continue
-            unusable.total += 1
+            rows.num_rows += 1
             try:
                 poses.append(pose_from_message(stamped.pose))
                 times_ns.append(time_ns)
             except VaporTrackError as error:
-                unusable.note(time_ns, str(error))
-    unusable.require_few(bag.path)
+                rows.leave_out(f"{bag.path}: {topic.name} at {time_ns} ns: {error}")
+    rows.require_few()
     if len(times_ns) < 2:
         raise SequenceError(
             f"{bag.path}: {topic.name}: {len(times_ns)} poses at stamps of their own, expected at least two whose"
             " stamps increase"
         )
-    return Trajectory(np.array(times_ns, np.int64), Poses.stack(poses)), unusable
+    return Trajectory(np.array(times_ns, np.int64), Poses.stack(poses)), rows

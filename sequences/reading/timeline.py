@@ -262,7 +262,6 @@ class Timeline:
         )
 
     def _headers(self, topic: str, message: Any) -> list[tuple[Key, Any]]:
-        """The headers that count, with their streams."""
         links = self._watched[topic]
         if message is None:
             return []

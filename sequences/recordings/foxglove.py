@@ -80,7 +80,6 @@ def _fields(message_type: str) -> list[tuple[str, str, bool]]:
 
 
 def _checked(message_type: str, message: Any) -> SimpleNamespace:
-    """The fields that a type is defined to have, each of its kind."""
     fields = SimpleNamespace()
     for kind, name, is_single in _fields(message_type):
         value = _of_kind(kind, getattr(message, name)) if is_single else _field(kind, name, message)

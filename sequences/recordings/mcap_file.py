@@ -120,7 +120,6 @@ class McapFile(RecordingFile):
         return statistics
 
     def _list(self, opcode: int, content: bytes | memoryview) -> None:
-        """Take in a schema or a channel."""
         if opcode == Opcode.SCHEMA:
             schema = _parse_record(Schema, content)
             self._schemas[schema.id] = schema
@@ -134,7 +133,6 @@ class McapFile(RecordingFile):
         return Channel(channel.topic, name, channel.message_encoding, definition)
 
     def _list_by_reading(self, stream: IO[bytes]) -> Counter[int]:
-        """Read all for schemas and channels; returns the number of messages of each channel."""
         found: Counter[int] = Counter()
         stream.seek(0)
         for opcode, content in _read_with_chunks_opened(stream):
@@ -157,7 +155,6 @@ class McapFile(RecordingFile):
                     yield from self._of_chunk(stream, index, asked)
 
     def _counted_beside(self, stream: IO[bytes], chunk: ChunkIndex, ids: Set[int]) -> Counter[int]:
-        """How many messages of some channels a chunk has, by the indexes beside it."""
         counts: Counter[int] = Counter()
         for id in ids:
             index = _parse_record(

@@ -66,7 +66,6 @@ class MessageWriter:
             self._writer.finish()
 
     def _write(self, topic: str, message_type: str, message: dict, time_ns: int) -> None:
-        """Write a message, whose fields are as `encoder` takes them."""
         data = encoder(message_type)(message)
         self._channels.write(RawMessage(topic, int(time_ns), data, message_type, MessageEncoding.CDR, b""))
 

@@ -38,7 +38,6 @@ def read_tum(path: Path, rows: Rows | None = None) -> Trajectory:
 
 
 def _read_row(line: str, where: str) -> tuple[int, list[float]]:
-    """Stamp and pose of a line."""
     fields = line.split()
     if len(fields) != 8:
         raise SequenceError(f"{where}: {len(fields)} columns, expected the eight of `{_COLUMNS}`")

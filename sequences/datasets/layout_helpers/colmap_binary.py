@@ -112,8 +112,6 @@ def point_rows(file: Path) -> Iterator[tuple[int, *tuple[float, ...]]]:
 
 
 class _Records:
-    """A file read number by number."""
-
     def __init__(self, file: Path) -> None:
         self._file = file
 

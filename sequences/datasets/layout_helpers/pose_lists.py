@@ -180,7 +180,6 @@ class NumberedLayout:
         return images.with_camera(find_camera([first, *first.parents[: self.levels]], images.files))
 
     def _read(self, pose_file: Path, skipped: Counter[str], notices: list[str]) -> dict[int, Poses | str]:
-        """Poses, or why there is none, by the number of their frame."""
         poses: dict[int, Poses | str] = {}
         lines: dict[int, int] = {}
         sequence: int | None = None

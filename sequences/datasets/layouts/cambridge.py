@@ -63,7 +63,6 @@ def list_images(path: Path) -> PosedImages | None:
 
 
 def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """Line and fields of each image behind the header."""
     for number, line in read_lines(path):
         fields = line.split()
         if number > _NUM_HEADER_LINES:

@@ -114,7 +114,6 @@ def _read_points(
 
 
 def _read_cameras(file: Path) -> dict[str, Camera | Lens]:
-    """Cameras by their ids."""
     cameras: dict[str, Camera | Lens] = {}
     text_rows = ((number, line.split()) for number, line in read_rows(file))
     for number, fields in camera_rows(file) if file.suffix == ".bin" else text_rows:
@@ -173,7 +172,6 @@ def _read_images(
 
 
 def _text_keypoints(file: Path) -> Iterator[tuple[str, Float64[np.ndarray, "k 2"], Int64[np.ndarray, " k"]]]:
-    """Name of each image, and X and Y of the keypoints that are of a point, with its POINT3D_ID."""
     for number, fields, keypoints in _text_images(file):
         where = f"{file}:{number + 1}"
         of_points = [each for each in zip(*3 * [iter(keypoints)], strict=True) if not each[2].startswith("-")]

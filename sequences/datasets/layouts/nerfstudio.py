@@ -124,7 +124,6 @@ def _read_stated(values: dict[str, Any], where: str) -> _Stated:
 
 
 def _camera_model(values: dict[str, Any], where: str) -> str:
-    """Name of the model of a camera, of those in `_MODELS`."""
     fisheye = "OPENCV_FISHEYE" if values.get("is_fisheye") else "OPENCV"
     name = values.get("camera_model") or next((key for key in _OTHER_IMAGES if values.get(key)), fisheye)
     if not isinstance(name, str) or name not in _MODELS:

@@ -115,7 +115,6 @@ class _Frames:
 
 
 def _table(file: Path) -> tuple[list[str], list[tuple[int, str]]]:
-    """Names in the header, and the rows behind it with the numbers of their lines."""
     lines = list(read_rows(file))
     if not lines:
         raise SequenceError(f"{file}: empty, expected the header `{', '.join(_COLUMNS)}` and rows")

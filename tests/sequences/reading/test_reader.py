@@ -9,7 +9,6 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.writer import Writer
 
-from filtering.motion import MotionNoise
 from sequences.errors import SequenceError
 from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
@@ -80,27 +79,6 @@ def test_a_segment_of_a_sequence_is_read(walk_file: Path) -> None:
     reader = SequenceReader(walk_file, SequenceOptions(start_s=0.25, duration_s=0.5))
     assert [f.time_ns for f in reader] == [BEGIN_NS + 100_000_000 * i for i in range(3, 8)]
     assert reader.skipped == {OUTSIDE: 7}
-
-
-def test_zero_covariances_are_replaced_by_the_stated_motion_noise(tmp_path: Path) -> None:
-    path = Walk(twist_covariance=np.zeros((6, 6))).write(tmp_path / "walk.mcap")
-    noise = MotionNoise(translation_per_sqrt_m=0.3)
-    frame = list(SequenceReader(path, SequenceOptions(motion_noise=noise)))[1]
-    assert frame.odometry is not None
-    camera_from_base = BASE_FROM_CAMERA.inverse()
-    base_increment = BASE_FROM_CAMERA @ frame.odometry.previous_from_current @ camera_from_base
-    carry = camera_from_base.adjoint()
-    expected = carry @ noise.covariance(base_increment, 0.1) @ carry.T
-    # As of one increment: between two images the twist of the walk hardly changes.
-    np.testing.assert_allclose(frame.odometry.covariance, expected, rtol=1e-3, atol=1e-7)
-    assert frame.odometry.duration_s == pytest.approx(0.1)
-
-
-def test_placeholders_for_variances_leave_the_covariance_of_an_increment_small(tmp_path: Path) -> None:
-    path = Walk(twist_covariance=np.diag([0.04, 1e6, 1e6, 1e6, 1e6, 0.003])).write(tmp_path / "walk.mcap")
-    frame = list(SequenceReader(path))[1]
-    assert frame.odometry is not None
-    assert 0.0 < np.abs(frame.odometry.covariance).max() < 0.01
 
 
 def test_true_poses_are_interpolated_but_not_over_gaps(tmp_path: Path) -> None:
