@@ -39,8 +39,7 @@ def read_bytes(path: Path, most: int = _MAX_TEXT) -> bytes:
 def read_text(path: Path, most: int = _MAX_TEXT) -> str:
     """Text of a file, without a byte order mark.
 
-    Raises:
-        SequenceError: it cannot be read, is no text, or has more than so many bytes.
+    Raises SequenceError where it cannot be read, is no text, or has more than so many bytes.
     """
     try:
         return read_bytes(path, most).decode("utf-8-sig")
@@ -103,9 +102,8 @@ def read_json(path: Path) -> Any:
 def parse_json(text: str | bytes, where: str) -> Any:
     """Content of JSON text; NaN and infinity are numbers, as in Python's dialect.
 
-    Raises:
-        SequenceError: it is no JSON, too long or too deeply nested, or has an integer of more than 40 digits. `where`
-            begins the message.
+    Raises SequenceError where it is no JSON, too long or too deeply nested, or has an integer of more than 40 digits.
+    `where` begins the message.
     """
     if len(text) > _MAX_JSON:
         raise SequenceError(f"{where}: more than {_MAX_JSON:,} bytes, expected JSON of fewer")
@@ -140,9 +138,8 @@ _YamlLoader.add_constructor("tag:yaml.org,2002:opencv-matrix", yaml.SafeLoader.c
 def read_yaml(path: Path, most: int = _MAX_YAML) -> dict[Any, Any]:
     """Names and values of a YAML file; of OpenCV's, too.
 
-    Raises:
-        SequenceError: it is none, has more than so many bytes or more than 64 levels, or values that refer to others,
-            by which few lines become millions.
+    Raises SequenceError where it is none, has more than so many bytes or more than 64 levels, or values that refer to
+    others, by which few lines become millions.
     """
     lines = [line for line in read_text(path, most).splitlines() if not line.startswith("%")]  # OpenCV's %YAML:1.0
     text, depth = "\n".join(lines), 0
@@ -213,8 +210,7 @@ class Rows:
     def each(self, rows: Iterable[Row]) -> Iterator[Row]:
         """The rows, one after the other.
 
-        Raises:
-            SequenceError: after the last one, more than half of them could not be used; the first one is quoted.
+        Raises SequenceError after the last one where more than half could not be used; the first one is quoted.
         """
         for row in rows:
             self.num_rows += 1

@@ -48,8 +48,7 @@ def parse_number(value: object, where: str, low: int | float = -LARGEST, high: i
 def parse_numbers(values: Iterable[Any], where: str, expected: str = "numbers") -> list[float]:
     """Numbers of a row, whatever their size; NaN and infinity are numbers, which mean that something is not known.
 
-    Raises:
-        SequenceError: one is none. `where` begins the message, and `expected` ends it.
+    Raises SequenceError where one is none. `where` begins the message, and `expected` ends it.
     """
     values = list(values)
     try:
@@ -95,8 +94,7 @@ def parse_frame_number(text: str, where: str) -> int:
 def parse_time_ns(text: str, where: str) -> int:
     """Seconds as decimal text -> integer nanoseconds, without a float between.
 
-    Raises:
-        SequenceError: no number, or a time before 1824 or after 2116. `where` begins the message.
+    Raises SequenceError for no number, or a time before 1824 or after 2116. `where` begins the message.
     """
     try:
         seconds = Decimal(text) if len(text) <= MAX_DIGITS and _is_plain(text) else Decimal("NaN")

@@ -305,9 +305,7 @@ def open_live(
 
     `events` receives the messages of the system, and other events. `admit` returns the message of an event to keep, or
     None; it may raise to end the wait. `waiting` is called with the missing thing, at first and every five seconds.
-
-    Raises:
-        SequenceError: something cannot be used, or there is a choice to make.
+    Raises SequenceError where something cannot be used, or there is a choice to make.
     """
     heard = TopicBuffer(transport, events, options=options)
     changed_s, reported_s = time.monotonic(), -math.inf

@@ -63,10 +63,8 @@ def replay(
     """Publish all messages of a recording at the pace of their log times; yields the progress after each.
 
     `notify` is called with the topics that are not published (not of ROS 2's encoding, Foxglove's transforms, a second
-    clock), and once for every topic with messages that cannot be published.
-
-    Raises:
-        SequenceError: the recording cannot be read, or nothing in it can be published.
+    clock), and once for every topic with messages that cannot be published. Raises SequenceError where the recording
+    cannot be read, or nothing in it can be published.
     """
     options = options or ReplayOptions()
     bag = Bag(path)

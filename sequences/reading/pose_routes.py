@@ -55,8 +55,7 @@ class PoseRoute:
 def tree_odometry(bag: MessageSource, options: SequenceOptions, mount: CameraMount) -> tuple[PoseRoute, CameraMount]:
     """Odometry of tf: poses of a base, to which the camera is fixed, in a frame such as odom.
 
-    Raises:
-        NotFoundError: no such frame is above the camera, or nothing moves in between.
+    Raises NotFoundError where no such frame is above the camera, or nothing moves in between.
     """
     frame = frame_name(options.odometry_frame or "odom")
     within_s = None if options.odometry_frame else _SURVEY_S
@@ -89,9 +88,8 @@ def find_true_poses(
 ) -> PoseRoute | None:
     """The true poses that options name, else the only candidate; `odometry` reads it to find a time offset by.
 
-    Raises:
-        SequenceError: the named poses are missing or cannot be used; or they are required, and there is no single
-            candidate.
+    Raises SequenceError where the named poses are missing or cannot be used; or they are required, and there is no
+    single candidate.
     """
     if options.poses is not None:
         return _route_of_file(bag, options, mount, odometry)

@@ -215,8 +215,7 @@ def frames_of_topic(bag: MessageSource, topic: Topic) -> tuple[str, str]:
 def read_path(bag: MessageSource, topic: Topic) -> tuple[Trajectory, Rows]:
     """Poses of nav_msgs/Path: the last message where it begins no later than the first one, else all in turn.
 
-    Raises:
-        SequenceError: damaged messages, no poses, poses without stamps of their own, or more than half unusable.
+    Raises SequenceError for damaged messages, no poses, poses without stamps of their own, or more than half unusable.
     """
     rows = Rows("true poses")
     last = None

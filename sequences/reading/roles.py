@@ -129,8 +129,7 @@ class Roles:
     def _odometry_track(self) -> Trajectory:
         """The first half hour of odometry, at most 50 poses a second, by one steady clock, to find a time offset by.
 
-        Raises:
-            SequenceError: there is none, or the recording is damaged.
+        Raises SequenceError where there is none, or the recording is damaged.
         """
         source = self.open_odometry()
         if source is None:

@@ -166,11 +166,8 @@ def _read_listing(folder: Path) -> _Listing:
     """Read the metadata.yaml of a rosbag2 folder.
 
     Its counts of single files are ignored: recorders count messages there that their cache then drops, and `ros2 bag
-    convert` counted messages twice.
-
-    Raises:
-        SequenceError: it is missing or no YAML, a number in it is none, or it lists no file, a missing one, or one of
-            unknown format or outside the folder.
+    convert` counted messages twice. Raises SequenceError where it is missing or no YAML, a number in it is none, or it
+    lists no file, a missing one, or one of unknown format or outside the folder.
     """
     if not folder.is_dir():
         raise SequenceError(

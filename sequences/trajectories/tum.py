@@ -48,8 +48,7 @@ def _read_row(line: str, where: str) -> tuple[int, list[float]]:
 def write_tum(path: Path, trajectory: Trajectory) -> None:
     """Write a trajectory, whole or not at all; times to the nanosecond, poses to nine decimals.
 
-    Raises:
-        VaporTrackError: a pose is not finite.
+    Raises VaporTrackError where a pose is not finite.
     """
     require_sound(trajectory.poses)
     table = np.concatenate([trajectory.poses.translation, trajectory.poses.as_quat_xyzw()], axis=1)

@@ -71,12 +71,7 @@ _ORDERS = {
 
 
 def list_images(path: Path) -> PosedImages | None:
-    """Images of a model; None where there is none.
-
-    Raises:
-        SequenceError: a file is cut off, a line is damaged, an image or a camera is there twice, a camera is missing
-            or of another kind, or no image is found.
-    """
+    """Images of a model; None where there is none."""
     models = [path, path / "sparse" / "0", path / "sparse"]
     files = [(m / f"cameras{suffix}", m / f"images{suffix}") for m in models for suffix in (".bin", ".txt")]
     found = next((both for both in files if all(file.is_file() for file in both)), None)
