@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
-from sequences.estimates.options import EstimateOptions
 from sequences.estimates.pose_files import FrameName, read_poses
+from sequences.estimates.sequence import EstimateOptions
 from sequences.files import Rows, read_text
 from sequences.frame import Trajectory
 from sequences.trajectories.tum import write_tum
