@@ -49,6 +49,8 @@ class EstimateOptions:
     time_offset_s: float | Literal["auto"] = 0.0
     """Seconds to add to the stamps of estimates; auto finds them, file by file, by comparing their rotation with
     odometry's."""
+    unit_m: float = 1.0
+    """The unit of length of all files, in metres: 0.001 where they are in millimetres."""
     rate_hz: float = float(ASSUMED_HZ)
     """Named frames have no stamps: how many there are in a second."""
     noise: OdometryNoise = field(default_factory=OdometryNoise)
@@ -65,6 +67,8 @@ class EstimateOptions:
             raise SequenceError(f"time_offset_s is {self.time_offset_s}, expected at most {_MAX_OFFSET_S:g} or auto")
         if not 1e-3 <= self.rate_hz <= 1e6:
             raise SequenceError(f"rate_hz is {self.rate_hz}, expected between 0.001 and 1e6")
+        if not 1e-6 <= self.unit_m <= 1e6:
+            raise SequenceError(f"unit_m is {self.unit_m}, expected between 1e-6 and 1e6")
 
 
 @dataclass(frozen=True)
@@ -223,7 +227,7 @@ class EstimateSequence:
         rows = Rows("poses")
         file = read_poses(path, None if beside else self._options.direction, columns, rows)
         self.notices += rows.notices
-        return file
+        return replace(file, poses=Poses(file.poses.rotation, file.poses.translation * self._options.unit_m))
 
     def _set_clocks(self, source: PoseFile, truth: PoseFile | None) -> None:
         """Add the time offset to the stamps of estimates; notice clocks that differ by the rotations."""

@@ -168,7 +168,8 @@ def _as_published(raw: RawMessage, shift_ns: int) -> bytes:
     end = _CDR_HEADER + _STAMP.size
     if len(raw.data) < end or not begins_with_stamp(raw.type, raw.definition):
         return raw.data
-    stamp = _shifted(*_STAMP.unpack_from(raw.data, _CDR_HEADER), shift_ns)
+    sec, nanosec = _STAMP.unpack_from(raw.data, _CDR_HEADER)
+    stamp = _shifted(sec, nanosec, shift_ns)
     return raw.data[:_CDR_HEADER] + _STAMP.pack(*stamp) + raw.data[end:]
 
 

@@ -82,6 +82,18 @@ def test_frames_that_odometry_does_not_cover_are_counted(tmp_path, truth):
     assert sequence.odometry_description == "recorded: short.txt"
 
 
+def test_files_in_millimetres_are_read_as_metres(tmp_path, truth):
+    large = {name: Poses(pose.rotation, 1000.0 * pose.translation) for name, pose in walk().items()}
+    path = write_named(tmp_path / "large.txt", large, world_to_camera=True)
+    options = EstimateOptions(direction="world-to-camera", noise=EXACT)
+    metres = EstimateSequence([truth], simulate_odometry_from=truth, options=options)
+    converted = EstimateSequence([path], simulate_odometry_from=path, options=replace(options, unit_m=0.001))
+    for one, other in zip(metres, converted, strict=True):
+        poses = (each.estimates["world_from_camera"] for each in (one, other))
+        np.testing.assert_allclose(*poses, atol=1e-5)  # as many digits as the text has
+        np.testing.assert_allclose(one.world_from_camera.as_matrix(), other.world_from_camera.as_matrix(), atol=1e-5)
+
+
 def test_what_contradicts_itself_is_refused(tmp_path, truth):
     timed = tmp_path / "timed.tum"
     write_tum(timed, Trajectory(np.arange(3) * 10**9, Poses.identity(3)))
@@ -95,6 +107,8 @@ def test_what_contradicts_itself_is_refused(tmp_path, truth):
         EstimateSequence([], odometry=truth)
     with pytest.raises(SequenceError, match="rate_hz is 0"):
         EstimateOptions(rate_hz=0.0)
+    with pytest.raises(SequenceError, match="unit_m is 0"):
+        EstimateOptions(unit_m=0.0)
 
 
 def test_names_that_do_not_match_are_told_of_both_files(tmp_path, truth):
