@@ -50,12 +50,8 @@ def read_text(path: Path, most: int = _MAX_TEXT) -> str:
 def read_lines(path: Path, most: int | None = _MAX_TEXT) -> Iterator[tuple[int, str]]:
     """Lines of a text file with their numbers from 1 on, one at a time; a byte order mark before them is skipped.
 
-    Args:
-        path: The file.
-        most: How many bytes it may have; None for any number, where the reader keeps little of it.
-
-    Raises:
-        SequenceError: it cannot be read, is no text, or is too large, or a line of it is.
+    `most` is None for a file of any size, where the reader keeps little of it. Raises SequenceError where the file
+    cannot be read, is no text, or is too large, or a line of it is.
     """
     try:
         with open(path, "rb") as stream:
@@ -190,19 +186,13 @@ class Rows:
     Attributes:
         num_rows: How many were read so far.
         num_unusable: How many of them could not be used.
-        tolerant: Whether any may be left out.
+        tolerant: Whether any may be left out; otherwise the first that cannot be used is an error.
     """
 
     def __init__(
         self, what: str = "rows", reason: Callable[[SequenceError], str] = _unusable, *, tolerant: bool = True
     ) -> None:
-        """Begin to count.
-
-        Args:
-            what: Name of the rows, in the plural.
-            reason: The reason for which an unusable row is counted, from its error.
-            tolerant: Whether any may be left out; otherwise the first that cannot be used is an error.
-        """
+        """Begin to count; `what` names the rows in the plural, `reason` is counted for an error."""
         self.num_rows = self.num_unusable = 0
         self._what, self._reason, self._first = what, reason, ""
         self.tolerant = tolerant
@@ -251,14 +241,9 @@ class Rows:
 
 
 def require_inside(folder: Path, files: Iterable[object]) -> None:
-    """Check that paths which a data set names, or links in it, lead to nowhere outside of its folder.
+    """Raise SequenceError where a path that a data set names, or a link in it, leads out of its folder, or is no path.
 
-    Args:
-        folder: Where the data set lies; it may be a link itself.
-        files: Paths; anything else, such as an image in an archive, is ignored.
-
-    Raises:
-        SequenceError: one leads out, or is no path.
+    The folder may be a link itself. Anything but paths, such as an image in an archive, is ignored.
     """
     root = os.path.join(os.path.realpath(folder), "")
     real: dict[str, str] = {}

@@ -25,16 +25,9 @@ _UNITS = (("milliseconds", 3), ("microseconds", 6), ("nanoseconds", 9))
 
 
 def parse_number(value: object, where: str, low: int | float = -LARGEST, high: int | float = LARGEST) -> float:
-    """A finite number.
+    """A finite number within a range, from a number or text that is one.
 
-    Args:
-        value: A number, or text that is one.
-        where: Which number it is; it begins the message of an error.
-        low: The smallest that it may be.
-        high: The largest.
-
-    Raises:
-        SequenceError: it is none, or lies outside.
+    Raises SequenceError where it is none, or lies outside; `where` begins the message.
     """
     try:
         found = _float(value) if isinstance(value, str | int | float) and not isinstance(value, bool) else math.nan

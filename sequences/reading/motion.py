@@ -35,9 +35,8 @@ class MotionOfCamera:
         self.rows: dict[str, Rows] = {}
         self._motion_noise = roles.options.motion_noise
         self._base_from_camera = roles.extrinsics.body_from_camera if roles.extrinsics is not None else None
-        self.source_topics: dict[
-            str, list[Extrinsics]
-        ] = {}  # fixed mounts, by the topics that would show that they move
+        # Fixed mounts, by the topics that would show that they move.
+        self.source_topics: dict[str, list[Extrinsics]] = {}
         mounts = (roles.extrinsics, roles.truth.extrinsics if roles.truth is not None else None)
         for mount in (each for each in mounts if each is not None):
             for topic in mount.source_topics:

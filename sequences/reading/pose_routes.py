@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 from filtering.errors import VaporTrackError
@@ -70,9 +71,7 @@ def tree_odometry(bag: MessageSource, options: SequenceOptions, mount: CameraMou
     links, fixed = path[: moving[-1] + 1], path[moving[-1] + 1 :]
     base, end = (steps[-1].parent if steps[-1].upwards else steps[-1].child for steps in (links, path))
 
-    def source() -> PoseSource:
-        return poses_of_tree(links, Poses.identity(), max_gap_s=MAX_ODOMETRY_GAP_S, watch_jumps=False)
-
+    source = partial(poses_of_tree, links, Poses.identity(), max_gap_s=MAX_ODOMETRY_GAP_S, watch_jumps=False)
     extrinsics = Extrinsics(along(fixed) @ mount.end)
     route = PoseRoute(f"tf frame {frame}", TF, source, extrinsics, {"odometry_frame": frame})
     return route, replace(mount, odometry_frame=frame, base=base if mount.base_from_camera is None else end)
@@ -121,10 +120,7 @@ def _route_of_topic(bag: MessageSource, options: SequenceOptions, mount: CameraM
         table = TabledPoses(poses, extrinsics.body_from_camera)
         return PoseRoute(topic.name, "", lambda: table, extrinsics, resolved, notices + unusable.notices)
     gap_s = MAX_TRUE_POSE_GAP_S if topic.read_as == _CAMERA_POSES else MAX_GAP_S
-
-    def source() -> PoseSource:
-        return poses_of_topic(topic, extrinsics.body_from_camera, max_gap_s=gap_s)
-
+    source = partial(poses_of_topic, topic, extrinsics.body_from_camera, max_gap_s=gap_s)
     return PoseRoute(topic.name, topic.name, source, extrinsics, resolved, notices)
 
 
@@ -145,10 +141,7 @@ def _route_of_tree(bag: MessageSource, options: SequenceOptions, mount: CameraMo
             f"{bag.path}: {mount.camera!r} never moves in {frame!r} (--ground-truth-frame), expected a transform on /tf"
             " between the two"
         )
-
-    def source() -> PoseSource:
-        return poses_of_tree(links, mount.end, max_gap_s=MAX_GAP_S)
-
+    source = partial(poses_of_tree, links, mount.end, max_gap_s=MAX_GAP_S)
     return PoseRoute(f"tf frame {frame}", TF, source, Extrinsics(mount.end), {"ground_truth_frame": frame})
 
 

@@ -184,16 +184,9 @@ def choose(
 ) -> Topic | None:
     """The topic named, or the only one of its types; None where the name is '', or there is none and none is required.
 
-    Args:
-        bag: The recording.
-        role: Its role, as in the name of its option.
-        types: ROS 2 types as which its messages may be read.
-        name: Its name; None to find it.
-        required: Whether none is an error.
-        besides: Name of a topic with another role, which is not found.
-
-    Raises:
-        SequenceError: one of another type or encoding, or several; NotFoundError: none.
+    Types are those of ROS 2 as which messages may be read; the `role` is as in the name of its option. A topic
+    `besides` has another role, and is not found. Raises SequenceError for one of another type or encoding and for
+    several, and NotFoundError for none.
     """
     others = f" or {len(types) - 2} others" if len(types) > 2 else ""
     option, expected = f"--{role}-topic", " or ".join(types[:2]) + others

@@ -187,12 +187,6 @@ def test_binned_and_cropped_images_have_intrinsics_of_their_own(plain: Path, tmp
     assert camera == Camera(60, 50, 55.0, 54.0, (57.5 / 2) - 0.5, (52.5 / 2) - 0.5)
 
 
-def test_a_fifth_coefficient_of_a_fisheye_lens_may_be_zero(plain: Path, tmp_path: Path) -> None:
-    said = {"distortion_model": "kannala_brandt4", "d": [-0.02, 0.005, 0.0, 0.001, 0.0]}
-    lens = Lens(CAMERA, "equidistant", (-0.02, 0.005, 0.0, 0.001))
-    assert camera_of(plain, tmp_path, said).camera == pinhole_of(lens)
-
-
 def test_an_unknown_distortion_is_said_and_left(plain: Path, tmp_path: Path) -> None:
     camera = camera_of(plain, tmp_path, {"distortion_model": "mei"})
     assert camera.camera is None

@@ -16,7 +16,6 @@ from sequences.frame import Frame
 from sequences.live.reader import LiveReader, TopicBuffer
 from sequences.options import ReadingOptions, SequenceOptions
 from sequences.reader import SequenceReader
-from sequences.recordings.message_definitions import encoder
 from sequences.recordings.source import TF_STATIC, RawMessage
 from tests.helpers import tf_files
 from tests.helpers.checks import no_checks
@@ -336,18 +335,6 @@ def test_before_everything_is_there_damaged_images_odometry_and_intrinsics_are_p
         require_same([frame for _, frame in robot.frames], SequenceReader(walk_file))
 
 
-def test_poses_that_are_none_are_counted(raws: list[RawMessage], walk_file: Path) -> None:
-    first = next(raw for raw in raws if raw.topic == ODOMETRY and at_ms(raw) > 350)
-    pose = {"position": {"x": float("nan")}, "orientation": {"w": 1.0}}
-    header = {"stamp": dict(zip(("sec", "nanosec"), divmod(first.log_time_ns + 1, SECOND), strict=True))}
-    fields = {"header": {**header, "frame_id": "odom"}, "child_frame_id": "base_link", "pose": {"pose": pose}}
-    bad = first._replace(data=encoder("nav_msgs/Odometry")(fields))
-    robot = lived([each for raw in raws for each in ([raw, bad] if raw is first else [raw])])
-    require_same([frame for _, frame in robot.frames], SequenceReader(walk_file))
-    assert robot.reader.skipped_messages == {"unusable poses of odometry": 1}
-    assert any("not finite" in said for said in robot.reader.problems.values())
-
-
 # --- clocks ---------------------------------------------------------------------------------------
 
 
@@ -458,36 +445,6 @@ def test_a_topic_that_is_published_with_two_types_is_refused(raws: list[RawMessa
     transport.offer(IMAGES, "sensor_msgs/Image")
     with pytest.raises(SequenceError, match=r"image/compressed has messages of .*Image and of .*expected one type"):
         Robot(transport).try_to_open()
-
-
-def test_what_is_not_there_yet_is_named(raws: list[RawMessage]) -> None:
-    for topic, said in [
-        (IMAGES, "no image topic, expected one of type sensor_msgs/Image"),
-        (ODOMETRY, "no odometry topic, expected one of type nav_msgs/Odometry; found "),
-        (TF_STATIC, "no transform from 'base_link' to 'camera_optical_frame'"),
-    ]:
-        robot = lived([raw for raw in raws if raw.topic != topic])
-        assert robot.opened is None
-        assert said in robot.wanting[-1]
-        assert robot.wanting[-1].startswith("a made-up system: ")
-
-
-def test_topics_may_come_one_after_the_other(raws: list[RawMessage], walk_file: Path) -> None:
-    since_ms = {IMAGES: 0, ODOMETRY: 215, INFO: 315, TF_STATIC: 415}
-    late = [
-        raw._replace(log_time_ns=BEGIN_NS + since_ms[TF_STATIC] * MS) if raw.topic == TF_STATIC else raw for raw in raws
-    ]
-    robot = Robot(FakeTransport())
-    for raw in sorted(late, key=lambda raw: raw.log_time_ns):
-        if at_ms(raw) >= since_ms.get(raw.topic, 1e9):
-            robot.transport.offer(raw.topic, raw.type, latched=raw.topic == TF_STATIC)
-            robot.live_through([raw])
-    said = list(dict.fromkeys(robot.wanting))[-3:]
-    for each, wanted in zip(said, ("no odometry topic", "no readable message on /odom", "no transform"), strict=True):
-        assert wanted in each
-    assert robot.times_ms == [100 * n for n in range(3, 12)]  # from where odometry was heard
-    assert robot.reader.camera.camera == CAMERA
-    require_same([frame for _, frame in robot.frames][1:], list(SequenceReader(walk_file))[4:])
 
 
 def test_a_publisher_that_comes_back_with_other_reliability_is_heard_again(raws: list[RawMessage]) -> None:

@@ -185,17 +185,6 @@ def test_a_jump_is_counted_and_no_pose_is_interpolated_across_it(tmp_path: Path)
     assert notice in frames.notices[0]
 
 
-def test_a_link_that_is_told_seldom_covers_while_it_hardly_moves(tmp_path: Path) -> None:
-    path = record(
-        tmp_path / "a.mcap",
-        images(),
-        mounted(),
-        tf("map", "odom", stamps(every_ms=640), lambda _: Poses.identity()),
-        tf("odom", "base_link", stamps(), body),
-    )
-    require_true(read(path)[:12])
-
-
 @pytest.mark.parametrize("with_tree", [True, False])
 @pytest.mark.usefixtures("unchecked")
 def test_memory_does_not_grow_with_the_file(with_tree: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
