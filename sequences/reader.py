@@ -128,8 +128,7 @@ class SequenceReader:
         motion, self._pairing = pairing.motion, pairing
         self.counts, self._skipped_messages = pairing.skipped.counts, pairing.skipped.messages
         self.across_jumps, self.notices = 0, [*self._found_notices, *timeline.notices]
-        beside = {topic: links for topic, links in roles.watched.items() if topic != roles.image.name}
-        streams = MotionStreams(timeline, beside, pairing)
+        streams = MotionStreams(timeline, [topic for topic in roles.watched if topic != roles.image.name], pairing)
         for dated in timeline.messages(roles.image.name, until=lambda _: pairing.is_over):
             pairing.take_dated(dated)
             for frame in pairing.ready_frames():

@@ -139,6 +139,7 @@ def test_raw_images_are_read_and_beside_compressed_ones_must_be_named(tmp_path: 
 @pytest.mark.parametrize("with_index", [True, False])
 def test_memory_does_not_grow_with_the_file(with_index: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sequences.recordings.mcap_file._MAX_KEPT_BYTES", 0)
+    monkeypatch.setattr("sequences.reading.frame_pairing._HORIZON_NS", 10**9)
     rng = np.random.default_rng(0)
     peaks, sizes = [], []
     for num_images in (50, 200):
