@@ -106,8 +106,7 @@ class FramePairing:
                     self._camera.take(message)
                 except SequenceError as error:
                     self.skipped.message("unusable intrinsics", raw.log_time_ns, str(error))
-            before_images = self.previous_ns is None and not self._waiting
-            self.motion.take(raw, message, before_images=before_images)
+            self.motion.take(raw, message)
 
     def take_dated(self, dated: Dated) -> None:
         """Take a message of a recording without its odd stamps."""

@@ -55,11 +55,10 @@ class MotionOfCamera:
         self._origin = np.array(roles.options.ground_truth_origin or (0.0, 0.0, 0.0))
         self._num_true = 0
 
-    def take(self, raw: RawMessage, message: Any, *, before_images: bool) -> None:
+    def take(self, raw: RawMessage, message: Any) -> None:
         """Take a message of any topic but the images'; None for undecodable bytes.
 
-        `before_images` is true while no image came: only a late image may need poses of long before. Raises
-        SequenceError where a camera that should be fixed moves.
+        Raises SequenceError where a camera that should be fixed moves.
         """
         sources = [(source, what) for source, what in self._sources if source.topic == raw.topic]
         if message is not None:
@@ -68,7 +67,7 @@ class MotionOfCamera:
             problem = self._roles.why_undecodable(raw)
             self._skipped.message(f"unusable message on {raw.topic}", raw.log_time_ns, problem)
         for source, what in sources:
-            self._take_poses(raw, message, source, what, before_images)
+            self._take_poses(raw, message, source, what)
 
     def _count(self, what: str, raw: RawMessage, problem: str | None) -> None:
         """Count a message, or a transform in it: as unusable where there is a problem."""
@@ -92,16 +91,15 @@ class MotionOfCamera:
                     self._skipped.message(reason, raw.log_time_ns, str(error))
                     self._moves_from_ns = min(stamp_ns(stamped.header) for stamped in message.transforms)
 
-    def _take_poses(self, raw: RawMessage, message: Any, source: PoseSource, what: str, before_images: bool) -> None:
+    def _take_poses(self, raw: RawMessage, message: Any, source: PoseSource, what: str) -> None:
         samples, problems = ([], [self._roles.why_undecodable(raw)]) if message is None else source.samples(message)
         for problem in (*problems, *(None for _ in samples)):
             self._count(what, raw, problem)
         for sample in samples:
             if not source.append(sample):
                 self._skipped.message(f"{what}: time stamp not increasing", sample.time_ns)
-            if before_images or not self._over_gaps:  # a running system has no end
-                late_s = MAX_LATENESS_S if before_images else 2 * MAX_LATENESS_S
-                source.forget_before(sample.time_ns - int(late_s * 1e9))
+            if not self._over_gaps:  # a running system has no end
+                source.forget_before(sample.time_ns - int(2 * MAX_LATENESS_S * 1e9))
 
     def reaches(self, time_ns: int) -> bool:
         """Whether odometry and true poses have come as far as a time."""

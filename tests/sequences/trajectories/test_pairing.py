@@ -210,16 +210,6 @@ def test_jumps_are_counted_once_while_the_window_forgets() -> None:
     assert (window.num_jumps, window.first_jump_ns) == (3, 5_000_000_000)
 
 
-def test_what_might_lie_behind_a_jump_waits_for_two_more_poses() -> None:
-    window = watched([0.0, 0.0, 0.0, 0.5])
-    assert window.reaches(299_999_999) is False
-    assert window.reaches(300_000_000) is True
-    assert window.reaches(250_000_000 - 100_000_000) is True
-    for i in (4, 5):
-        window.append(i * 100_000_000, Poses(np.eye(3), np.array([0.5, 0.0, 0.0])))
-    assert window.reaches(299_999_999) is True
-
-
 def test_neighbours_that_hardly_differ_may_be_far_apart() -> None:
     for metres, covered in ((0.04, True), (0.06, False)):
         window = PoseWindow(max_gap_s=0.1, still_gap_s=2.0)
