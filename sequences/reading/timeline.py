@@ -286,7 +286,7 @@ def _by_steady_clock(
         steady = logs[key].copy()
         for jump in jumps[key]:
             same = next(each for each in by_period if abs(each.by_ns - jump.by_ns) < _SET_BACK_S * 1e9)
-            steady[: jump.at] += same.by_ns  # that of the densest stream is the most exact
+            steady[: jump.at] += same.by_ns  # the densest stream measured it most exactly
         dated[key] = _dated(stamps, steady)
     return dated
 
