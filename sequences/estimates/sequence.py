@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float64, Int64, Shaped
 
 from filtering.errors import quoted
-from filtering.motion import MotionNoise, Odometry
+from filtering.motion import MotionNoise, Odometry, WhiteNoise
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.estimates.pose_files import Direction, FrameName, PoseFile, frames_by, natural_order, read_poses
@@ -95,7 +95,7 @@ class OdometryTrack:
         asked = np.array([time_ns], np.int64)
         return bool(interpolate(self.times_ns, self.odom_from_base, asked, max_gap_s=MAX_ODOMETRY_GAP_S)[1][0])
 
-    def between(self, start_ns: int, end_ns: int, motion_noise: MotionNoise) -> Odometry:
+    def between(self, start_ns: int, end_ns: int, motion_noise: WhiteNoise) -> Odometry:
         """Motion of the camera between two covered times; the noise is that of odometry without covariances."""
         return odometry_between(
             self.times_ns,

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
-from filtering.motion import MotionNoise, Odometry
+from filtering.motion import Odometry, WhiteNoise
 from filtering.se3 import Poses
 from sequences.trajectories.interpolation import odometry_between, pose_at
 
@@ -192,7 +192,7 @@ class PoseWindow:
             self.first_jump_ns = self._times_ns[index] if self.first_jump_ns is None else self.first_jump_ns
 
     def odometry_between(
-        self, start_ns: int, end_ns: int, *, base_from_camera: Poses, motion_noise: MotionNoise
+        self, start_ns: int, end_ns: int, *, base_from_camera: Poses, motion_noise: WhiteNoise
     ) -> Odometry:
         """`odometry_between` two covered times, the first of which was not yet forgotten."""
         near = slice(bisect_right(self._times_ns, start_ns) - 1, bisect_left(self._times_ns, end_ns) + 1)
