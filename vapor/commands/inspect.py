@@ -94,7 +94,7 @@ def main(arguments: Sequence[str]) -> None:
             found = inspect(o.data, o.reading, model=model, seed=o.seed, see=see, progress=shown.at)
         if directory is not None:
             if found.coverage is not None:
-                draw_map(directory / _MAP, found.coverage, found.predictions)
+                draw_map(directory / _MAP, found.coverage)
                 if o.recording:
                     points = [scene_points(path) for path, _ in name_entries(o.data).values()]
                     record_coverage(
@@ -120,13 +120,12 @@ def main(arguments: Sequence[str]) -> None:
 def _page(found: Inspection, o: Options, picture: Path, command: str) -> Page:
     *found_parts, _ = parts(found)  # the last is the verdict
     seen = [("From above", [picture])] if found.coverage is not None else []
-    tables = [(part.title, [*([] if part.table is None else [part.table]), *part.lines]) for part in found_parts]
     asked = "Was it recorded well enough to train on, and what to record again?"
     first, *others = found.verdict
     rest = [("What else to do", [f"{number}. {sentence}" for number, sentence in enumerate(others, 2)])]
     title = ", ".join(Path(entry).name for entry in o.data)
     return findings_page(
-        shortened(title, 100), asked, f"{first[0].upper()}{first[1:]}.", [*rest, *seen, *tables], command=command
+        shortened(title, 100), asked, f"{first[0].upper()}{first[1:]}.", [*rest, *seen, *found_parts], command=command
     )
 
 

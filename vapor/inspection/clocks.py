@@ -44,13 +44,13 @@ class ImageClock:
         }
         against: By | None = None
         for by, track in others.items():
-            if len(track) < 2 or walk.assumed_hz is not None:
+            if len(track) < 2 or walk.source.assumed_hz is not None:
                 continue
             against = against or by
-            turned = next((check.orientations for check in walk.views if check.by == by), ())
+            turned = next((check.orientations for check in walk.checks if check.by == by), ())
             # As stated first: of a camera that pans to and fro, half a period late looks upside down.
             for orientation in dict.fromkeys((AS_STATED, *turned[:1])):
-                late_s = _late_s(walk.pairs, track, ORIENTATIONS[orientation])
+                late_s = _late_s(walk.views.pairs, track, ORIENTATIONS[orientation])
                 if late_s is not None:
                     return ImageClock(walk.name, by, 1e3 * late_s, orientation == AS_STATED)
         return ImageClock(walk.name, against, None)

@@ -13,13 +13,13 @@ from jaxtyping import Bool, Float64, Int64
 from filtering.se3 import Poses
 from filtering.storeys import find_storeys, up_axis
 from vapor.training.config import TrainConfig
-from vapor.training.holding_out import AWAY, WHOLE_OF, Split, hold_out, long_runs, shown_by, way_of
+from vapor.training.holding_out import AWAY, WHOLE_OF, hold_out, long_runs, shown_by, way_of
 from vapor.training_data.ground import DIRECTION_RAD, runs
 from vapor.training_data.training_set import TrainingSet
 
 SECTORS = 8
 STEEP = np.sin(np.deg2rad(60.0))
-_COMPASS = ("east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east")
+_NAMED = 3
 _MOST_CELLS = 50  # along the longer side of the plan
 
 
@@ -57,11 +57,9 @@ class Plan:
         return np.where(np.abs(ahead[:, 2]) < STEEP, level, np.where(ahead[:, 2] > 0, SECTORS, SECTORS + 1))
 
     def direction(self, sector: int) -> str:
-        """A direction in words: by the compass where z is up and y north; else by axes."""
+        """A direction by the axes of the world, such as "+x -y"."""
         if sector >= SECTORS:
             return "up" if sector == SECTORS else "down"
-        if self.names == ("x", "y"):
-            return _COMPASS[sector]
         turn = sector * 2 * np.pi / SECTORS
         parts = []
         for size, name in zip((np.cos(turn), np.sin(turn)), self.names, strict=True):
@@ -81,8 +79,7 @@ def _round(value: float) -> float:
 class Segment:
     """Images in a row of one recording, first to last: numbers count its images with a true pose, from 0.
 
-    Heights, in metres, are of the lowest and the highest; most images are on the storey with the number `storey`, from
-    0.
+    Heights, in metres, are of the lowest and the highest; most images are on the storey with this number, from 1.
     """
 
     name: str
@@ -100,16 +97,19 @@ class Segment:
 class Storey:
     """One of several storeys: heights in metres of its lowest and highest camera, its images, and the recordings there.
 
-    `trained` of these are not held out as a whole. `late` is the last fraction of each recording's images, before which
-    none shows it; None where one does.
+    Numbers count from 1, the lowest. `trained` of the recordings are not held out as a whole.
     """
 
+    number: int
     low_m: float
     high_m: float
     images: int
     names: tuple[str, ...]
     trained: int
-    late: float | None
+
+    def __str__(self) -> str:
+        names = ", ".join(self.names[:_NAMED]) + (", ..." if len(self.names) > _NAMED else "")
+        return f"storey {self.number} ({height(self.low_m, self.high_m)}): {self.images} images, of {names}"
 
 
 @dataclass(frozen=True)
@@ -131,29 +131,13 @@ def height(low_m: float, high_m: float) -> str:
     return f"height {low_m:.1f} m" if high_m - low_m < 0.05 else f"height {low_m:.1f} to {high_m:.1f} m"
 
 
-_LATE = 0.25  # of a recording
-
-
-@dataclass(frozen=True)
 class Coverage:
-    """Coverage of a place by n images with true poses of r recordings, measured as `train` does to hold images out.
+    """Coverage of a place by n images with true poses of r recordings, measured as `train` does to hold images out."""
 
-    `shown`: whether each recording, or of its own another pass, shows the surroundings of each image, (n, r). `way`:
-    length of the path up to each image, metres, (n,).
-    """
-
-    images: TrainingSet
-    split: Split
-    shown: Bool[np.ndarray, "n r"]
-    plan: Plan
-    way: Float64[np.ndarray, " n"]
-
-    @staticmethod
-    def of(images: TrainingSet) -> Coverage:
-        """Measured as `train` does to hold images out."""
-        split = hold_out(images, TrainConfig().validation_fraction)
-        plan = Plan.of(images.poses, split.near_m)
-        return Coverage(images, split, shown_by(images, split.near_m), plan, way_of(images))
+    def __init__(self, images: TrainingSet) -> None:
+        self.images = images
+        self.split = hold_out(images, TrainConfig().validation_fraction)
+        self.plan = Plan.of(images.poses, self.split.near_m)
 
     @property
     def by_recordings(self) -> bool:
@@ -163,8 +147,9 @@ class Coverage:
     @cached_property
     def others(self) -> Int64[np.ndarray, " n"]:
         """Number of other recordings that show each image; of few recordings, of those that do in another pass."""
+        shown = shown_by(self.images, self.split.near_m)  # by each recording; of its own, by another pass
         own = np.arange(len(self.images)), self.images.sequence
-        return self.shown.sum(axis=1) - (self.shown[own] if self.by_recordings else 0)
+        return shown.sum(axis=1) - (shown[own] if self.by_recordings else 0)
 
     @cached_property
     def places(self) -> Float64[np.ndarray, "n 3"]:
@@ -210,16 +195,16 @@ class Coverage:
     def alone(self) -> list[Segment]:
         """Segments that no other recording, or of few recordings no other pass, shows; from the longest down."""
         alone = self.others == 0
-        sequence = self.images.sequence
-        brief = ~alone & ~long_runs(~alone, self.way, sequence)
+        sequence, way = self.images.sequence, way_of(self.images)
+        brief = ~alone & ~long_runs(~alone, way, sequence)
         found = []
-        for run in runs(long_runs(alone | brief, self.way, sequence), sequence):
-            rows = np.arange(run.start, run.stop)
-            rows = rows[np.flatnonzero(alone[rows])[[0, -1]]] if alone[rows].any() else rows[:0]
+        for run in runs(long_runs(alone | brief, way, sequence), sequence):
+            rows = run.start + np.flatnonzero(alone[run])
             if len(rows):
-                number, heights = int(sequence[run.start]), self.places[rows[0] : rows[-1] + 1, 2]
+                within = slice(rows[0], rows[-1] + 1)
+                number, heights = int(sequence[run.start]), self.places[within, 2]
                 first, last = (rows[[0, -1]] - int(np.argmax(sequence == number))).tolist()
-                storey = int(np.bincount(self.storey[rows[0] : rows[-1] + 1]).argmax())
+                storey = int(np.bincount(self.storey[within]).argmax()) + 1
                 low_m, high_m = float(heights.min()), float(heights.max())
                 found.append(Segment(self.images.names[number], first, last, low_m, high_m, storey))
         return sorted(found, key=lambda segment: segment.first - segment.last)
@@ -232,18 +217,11 @@ class Coverage:
         sequence, kept = self.images.sequence, np.isin(self.images.rows, self.split.training.rows)
         for number in range(int(self.storey.max()) + 1):
             on_it = self.storey == number
-            recordings = np.unique(sequence[on_it])
-            first = min(float(np.argmax(on_it[sequence == own])) / (sequence == own).sum() for own in recordings)
-            heights = self.places[on_it, 2]
+            heights, recordings = self.places[on_it, 2], np.unique(sequence[on_it])
+            names = tuple(self.images.names[own] for own in recordings)
+            trained = len(np.unique(sequence[on_it & kept]))
             found.append(
-                Storey(
-                    float(heights.min()),
-                    float(heights.max()),
-                    int(on_it.sum()),
-                    tuple(self.images.names[own] for own in recordings),
-                    len(np.unique(sequence[on_it & kept])),
-                    1.0 - first if 1.0 - first <= _LATE else None,
-                )
+                Storey(number + 1, float(heights.min()), float(heights.max()), int(on_it.sum()), names, trained)
             )
         return found
 

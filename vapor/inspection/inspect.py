@@ -96,7 +96,7 @@ def inspect(
     notices: tuple[str, ...] = ()
     if images is not None:
         progress("where it was", 0, None)
-        coverage = Coverage.of(images)
+        coverage = Coverage(images)
         progress("odometry", 0, None)
         odometry = check_odometry(images)
         notices = tuple(too_far(images.poses))

@@ -58,12 +58,12 @@ class WeakPlace:
     passes: int
 
     def __str__(self) -> str:
-        at = ", ".join(f"{value:.1f}" for value in self.position)
-        passes = "one pass only" if self.passes == 1 else f"{self.passes} passes"
-        possible = f", {self.places} places possible" if self.places > 1 else ""
-        images = "1 image" if self.images == 1 else f"{self.images} images"
-        error = f"median error {self.median_m:.2g} m over {images} of {passes}"
-        return f"near ({at}) m, looking {self.looking}: {error}{possible}"
+        x, y, z = self.position
+        passes = "one pass" if self.passes == 1 else f"{self.passes} passes"
+        return (
+            f"near ({x:.1f}, {y:.1f}, {z:.1f}) m, looking {self.looking}: median error {self.median_m:.2g} m over"
+            f" {self.images} images of {passes}, {self.places} places possible"
+        )
 
 
 @dataclass(frozen=True)
