@@ -94,6 +94,11 @@ def inside(canvas: Canvas, x0: float, y0: float, x1: float, y1: float) -> np.nda
     return band(canvas.x, x0, x1) * band(canvas.y, y0, y1)
 
 
+def rim(canvas: Canvas, width_m: float) -> np.ndarray:
+    """1 along the edges of the canvas, 0 further inside."""
+    return 1 - inside(canvas, width_m, width_m, canvas.width_m - width_m, canvas.height_m - width_m)
+
+
 def weathered(canvas: Canvas, base: np.ndarray, amount: float = 0.05) -> np.ndarray:
     """Uneven paint: broad blotches, fine grain."""
     shade = canvas.noise(0.5) * 0.6 + canvas.noise(0.12) * 0.45 + canvas.noise(0.02) * 0.4

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cache, lru_cache
+from functools import lru_cache
 
 import numpy as np
 
 from filtering.se3 import Poses
 from sequences.odometry import OdometryNoise
-from sequences.rendering.light import Sampling
+from sequences.rendering.light import USUAL, Sampling
 from sequences.rendering.mesh import Placement
-from sequences.rendering.render import LitScene, build_scene
+from sequences.rendering.render import LitScene
 
 SPLITS = {"train": 1, "test": 2}
 """The number of each split, in seeds."""
@@ -36,7 +36,7 @@ class Scene:
         storey_height_m: From floor to floor along z where all floors look alike from end to end; None elsewhere.
         changes: Whether its parts or its light differ from walk to walk.
         paint_seed: Of stains, grain and light samples.
-        sampling: Of light; None for the defaults.
+        sampling: Of light.
     """
 
     name: str
@@ -51,25 +51,16 @@ class Scene:
     storey_height_m: float | None = None
     changes: bool = False
     paint_seed: int = 0
-    sampling: Sampling | None = None
+    sampling: Sampling = USUAL
 
     def build(self, split: str, seed: int) -> LitScene:
-        """The scene on one walk, ready to be rendered; built once per process where it never changes."""
-        return _on_one_walk(self, split, seed) if self.changes else _on_all_walks(self)
+        """The scene on one walk, ready to be rendered."""
+        return _built(self, split, seed) if self.changes else _built(self, "test", 0)
 
 
-@cache
-def _on_all_walks(scene: Scene) -> LitScene:
-    return _built(scene, "test", 0)
-
-
-@lru_cache(maxsize=2)  # a large building takes some hundreds of megabytes
-def _on_one_walk(scene: Scene, split: str, seed: int) -> LitScene:
-    return _built(scene, split, seed)
-
-
+@lru_cache(maxsize=6)  # all scenes that never change, and a building, which takes some hundreds of megabytes
 def _built(scene: Scene, split: str, seed: int) -> LitScene:
-    return build_scene(scene.placements(split, seed), seed=scene.paint_seed, sampling=scene.sampling)
+    return LitScene(scene.placements(split, seed), seed=scene.paint_seed, sampling=scene.sampling)
 
 
 def mounted(at_m: tuple[float, float, float], toward: float, down: float) -> Poses:

@@ -6,7 +6,7 @@ from sequences.frame import Camera
 from sequences.rendering import texture
 from sequences.rendering.light import bake_light
 from sequences.rendering.mesh import Part, Placement, Tracer, assemble
-from sequences.rendering.render import build_scene, pixel_rays, render
+from sequences.rendering.render import LitScene, pixel_rays, render
 from sequences.rendering.texture import Material, plain
 from tests.helpers.views import depth_and_quads
 
@@ -42,14 +42,14 @@ def test_a_ray_finds_the_point_of_the_parallelogram_that_it_was_aimed_at():
 
 
 def test_a_ray_that_leaves_the_scene_meets_nothing():
-    scene = build_scene([Placement(wall(glow(), half=0.1), HERE)], seed=0)
+    scene = LitScene([Placement(wall(glow(), half=0.1), HERE)], seed=0)
     depth, quads = depth_and_quads(scene, CAMERA, Poses.identity())
     assert np.isinf(depth[0, 0])
     assert quads[0, 0] == -1
 
 
 def test_depth_of_a_wall_square_to_the_camera_is_its_distance_in_every_pixel():
-    scene = build_scene([Placement(wall(glow()), HERE)], seed=0)
+    scene = LitScene([Placement(wall(glow()), HERE)], seed=0)
     depth, quads = depth_and_quads(scene, CAMERA, Poses.identity())
     np.testing.assert_allclose(depth, 2.0, atol=1e-5)
     assert (quads == 0).all()
@@ -59,7 +59,7 @@ def test_a_painted_corner_appears_at_the_pixel_where_the_pinhole_model_puts_it()
     def quadrant(canvas):
         return canvas.colour((1.0, 1.0, 1.0)) * ((canvas.x > 5.3) & (canvas.y > 4.9))[..., None]
 
-    scene = build_scene([Placement(wall(glow(quadrant)), HERE)], seed=0)
+    scene = LitScene([Placement(wall(glow(quadrant)), HERE)], seed=0)
     pose = Poses.exp(np.array([0.1, -0.05, 0.2, 0.05, -0.08, 0.0]))
     corner = pose.inverse().apply(np.array([-5 + 5.3, 5 - 4.9, 2.0]))
     u = CAMERA.fx * corner[0] / corner[2] + CAMERA.cx
@@ -76,7 +76,7 @@ def test_a_painted_corner_appears_at_the_pixel_where_the_pinhole_model_puts_it()
 
 
 def test_an_exposure_during_which_the_camera_turns_smears_an_edge_over_the_pixels_it_crosses():
-    scene = build_scene(
+    scene = LitScene(
         [Placement(wall(glow(lambda c: c.colour((1.0, 1.0, 1.0)) * (c.x > 5)[..., None] + 0 * c.y[..., None])), HERE)],
         seed=0,
     )
@@ -106,7 +106,7 @@ def test_direct_light_below_a_square_lamp_follows_the_form_factor():
     # A small element below the corner of a rectangle (Howell, Catalog of Configuration Factors, B-4), four times.
     x = half / height
     corner = x / np.sqrt(1 + x**2) * np.arctan(x / np.sqrt(1 + x**2)) / np.pi
-    np.testing.assert_allclose(light.of_chart(1), 2.0 * 4 * corner, rtol=0.02)
+    np.testing.assert_allclose(light[1], 2.0 * 4 * corner, rtol=0.02)
 
 
 def test_nothing_lights_what_a_screen_hides_from_the_lamp():
@@ -119,8 +119,8 @@ def test_nothing_lights_what_a_screen_hides_from_the_lamp():
     emitted = np.zeros((charts, 3))
     emitted[0] = 1.0
     light = bake_light(geometry, Tracer(geometry), np.zeros((charts, 3)), emitted, rng=np.random.default_rng(0))
-    assert light.of_chart(charts - 1).max() == 0
-    assert light.of_chart(6).min() > 0  # the screen's upper side
+    assert light[charts - 1].max() == 0
+    assert light[6].min() > 0  # the screen's upper side
 
 
 def test_light_in_a_closed_white_box_is_what_bounces_add_to_it():
@@ -144,6 +144,6 @@ def test_light_in_a_closed_white_box_is_what_bounces_add_to_it():
         albedo = np.full((7, 3), reflectance)
         albedo[6] = 0
         light = bake_light(geometry, Tracer(geometry), albedo, emitted, rng=np.random.default_rng(0))
-        floors.append(light.of_chart(0).mean())
+        floors.append(light[0].mean())
     # Every bounce passes on about half: two of them add less than the 1/(1 − 0.5) of all, but a good part.
     assert 1.25 < floors[1] / floors[0] < 2.0
