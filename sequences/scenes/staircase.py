@@ -10,7 +10,7 @@ from filtering.se3 import Poses
 from sequences.paths import STEP_S, eased, eased_angle, rotations, wander
 from sequences.rendering import texture
 from sequences.rendering.mesh import Part, Placement
-from sequences.rendering.texture import Canvas, Material, band, blend, inside, plain, weathered
+from sequences.rendering.texture import Canvas, Material, band, blend, inside, plain, rim, weathered
 from sequences.scenes.scene import HELMET, Scene
 from sequences.scenes.stairwell import (
     ACROSS,
@@ -66,9 +66,7 @@ def _notices(canvas: Canvas) -> np.ndarray:
         base = blend(base, rgb, sheet)
         lines = (np.sin(canvas.y * 2 * np.pi / 0.03) > 0.2) & (canvas.noise(0.03, 0.015) > -0.4)
         base = blend(base, (0.08, 0.08, 0.1), inside(canvas, x0 + 0.02, y0 + 0.03, x1 - 0.02, y1 - 0.06) * lines * 0.8)
-    return blend(
-        base, (0.5, 0.5, 0.48), 1 - inside(canvas, 0.025, 0.025, canvas.width_m - 0.025, canvas.height_m - 0.025)
-    )
+    return blend(base, (0.5, 0.5, 0.48), rim(canvas, 0.025))
 
 
 def _letter_boxes(canvas: Canvas) -> np.ndarray:
@@ -92,9 +90,7 @@ def _street(canvas: Canvas) -> np.ndarray:
 
 def _mat(canvas: Canvas) -> np.ndarray:
     base = canvas.colour((0.23, 0.035, 0.03)) * np.clip(1 + 0.25 * canvas.noise(0.012), 0.2, 2)[..., None]
-    return blend(
-        base, (0.03, 0.03, 0.03), 1 - inside(canvas, 0.05, 0.05, canvas.width_m - 0.05, canvas.height_m - 0.05)
-    )
+    return blend(base, (0.03, 0.03, 0.03), rim(canvas, 0.05))
 
 
 def _brick(canvas: Canvas) -> np.ndarray:

@@ -64,14 +64,13 @@ def inspect(
     reading: SequenceOptions | None = None,
     *,
     model: ObservationModel | None = None,
-    seed: int = 0,
     see: Callable[[Frame], None] = lambda frame: None,
     progress: Callable[[str, int, int | None], None] = lambda stage, done, total: None,
 ) -> Inspection:
     """Inspect recordings.
 
     Data are `PATH` or `PATH@START:STOP`, as `train` takes them; true poses and odometry may be missing. A model
-    observes every image, with latent noise of the seed. `see` is called with every frame in order, `progress` with the
+    observes every image. `see` is called with every frame in order, `progress` with the
     stage, how much of it is done, and of how much.
 
     Raises:
@@ -81,7 +80,7 @@ def inspect(
     predicted: list[Prediction] = []
     some: EvenlySpaced[SeenImage] = EvenlySpaced(MOST_IMAGES)
     views = CameraViews()
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
 
     def take(frame: Frame) -> None:
         see(frame)

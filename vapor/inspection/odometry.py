@@ -25,7 +25,8 @@ _WINDOW_S = 1.0  # over which motions are compared: noise of single images count
 _LEAST_WINDOWS = 20
 _AGREES = 0.7  # correlation of motions
 _MIRRORED_BETTER = 0.1  # correlation
-_SAME_UNIT = 2.5  # ratio of lengths
+_UNITS = {"millimetres": 1000.0, "centimetres": 100.0, "inches": 39.37, "feet": 3.281}
+_SAME_UNIT, _UNIT_WITHIN = 2.5, 0.25  # of the ratio of lengths, and of its logarithm
 _TURNED_RAD = float(np.deg2rad(10.0))
 _USUAL_OFFSET_S = 1.0  # at most, within one recording
 
@@ -51,9 +52,13 @@ class Axes:
         return rotvec_from_rotation(self.turn)
 
     @property
-    def is_other_unit(self) -> bool:
-        """Whether not both can be in metres."""
-        return max(self.length_ratio, 1 / self.length_ratio) >= _SAME_UNIT
+    def unit(self) -> str | None:
+        """The likely unit of the longer of the two; None where both may be in metres."""
+        ratio = max(self.length_ratio, 1 / self.length_ratio)
+        if ratio < _SAME_UNIT:
+            return None
+        near = min(_UNITS, key=lambda name: abs(np.log(ratio / _UNITS[name])))
+        return near if abs(np.log(ratio / _UNITS[near])) < _UNIT_WITHIN else "another unit"
 
     @property
     def is_mirrored(self) -> bool:
@@ -154,8 +159,8 @@ def check_odometry(images: TrainingSet) -> OdometryCheck | None:
     if not segments:
         return None
     axes = compare_axes([_track(segment) for segment in segments])
-    if axes is not None and (axes.is_other_unit or axes.is_turned):
-        factor, turn = 1 / axes.length_ratio if axes.is_other_unit else 1.0, axes.turn if axes.is_turned else np.eye(3)
+    if axes is not None and (axes.unit is not None or axes.is_turned):
+        factor, turn = 1 / axes.length_ratio if axes.unit else 1.0, axes.turn if axes.is_turned else np.eye(3)
         segments = [_carried(segment, factor, turn) for segment in segments]
     fit, no_fit = None, ""
     try:

@@ -86,15 +86,12 @@ def _views(
 ) -> Iterator[str]:
     """Contradictions of images, poses and colours."""
     has_focal = camera is not None and camera.disagrees and camera.of_all  # a better sentence on focal lengths follows
-    explained = {clock.name for clock in clocks if clock.as_stated and abs(clock.late_ms or 0.0) >= _IMAGES_LATE_MS}
-    has_units = odometry is not None and odometry.axes is not None and odometry.axes.is_other_unit
+    explained = {clock.name for clock in clocks if abs(clock.late_ms or 0.0) >= _IMAGES_LATE_MS}
+    has_units = odometry is not None and odometry.axes is not None and odometry.axes.unit is not None
     for walk in walks:
         own = [replace(check, focal=None) for check in walk.checks] if has_focal else walk.checks
-        if walk.name in explained:
-            views = [check for check in own if check.orientations]  # others agree once clocks do
-            yield from (f"or else, with clocks as they are: {each}" for each in said_of_views(walk.name, views))
-        else:
-            yield from said_of_views(walk.name, own)
+        # Views that agree with no orientation do so once clocks are right.
+        yield from said_of_views(walk.name, [c for c in own if c.orientations or walk.name not in explained])
         speed = walk.speed_m_per_s
         if speed is not None and speed > _TOO_FAST_M_PER_S and not has_units:
             yield (
@@ -139,10 +136,10 @@ def _odometry(check: OdometryCheck, *, is_named: bool) -> Iterator[str]:
                 f"check odometry and true poses: their motions have little in common (correlation"
                 f" {axes.correlation:.2f}), whichever way the axes are turned"
             )
-    if axes is not None and axes.is_other_unit:
+    if axes is not None and axes.unit is not None:
         yield (
-            f"check units: odometry is {axes.length_ratio:.4g} m long for each metre of the true poses, as if one of"
-            " them were not in metres"
+            f"check units: odometry is {axes.length_ratio:.4g} m long for each metre of the true poses, as if the"
+            f" longer were in {axes.unit} instead of metres"
         )
     if fit is not None and abs(fit.scale) > max(_SCALE, _CERTAIN * fit.scale_error):
         far = "long" if fit.scale > 0 else "short"

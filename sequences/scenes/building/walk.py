@@ -92,10 +92,8 @@ def _all_ways(plan: Plan) -> np.ndarray:
 class Visit:
     """Light and people of one walk through a building.
 
-    Attributes:
-        lamps, daylight: Brightness, 1 as usual.
-        tint: Colour of the lamps.
-        people: Level, place in the world, and seed of the looks of each person.
+    Lamps and daylight are as bright as usual at 1; the tint is the colour of the lamps. People have a level, a place in
+    the world, and a seed of their looks.
     """
 
     lamps: float = 1.0
@@ -193,15 +191,7 @@ def walk_building(
     """Someone going through a building: world_from_base every 20 ms, x forward, z up, on the floor.
 
     Training walks follow a tour of the whole building, either way; those of `TRAINING_WALKS` seeds in a row begin
-    evenly spread over it. Other walks go from one random place to another.
-
-    Args:
-        plan: The building.
-        visit: Who stands in the way.
-        duration_s: How long.
-        training: Whether to follow the tour.
-        seed: Where on the tour a training walk begins.
-        rng: Of all that is random.
+    evenly spread over it. Other walks go from one random place to another. People stand in the way.
     """
     steps = int(np.ceil(duration_s / STEP_S)) + 1
     manner = plan.rng(14)  # wheels roll, legs sway

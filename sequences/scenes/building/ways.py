@@ -23,9 +23,7 @@ _CORRIDOR_M = 0.6  # that always stay to its walls
 class Station:
     """Somewhere to go: a room, an end of a corridor, a half landing.
 
-    Attributes:
-        node: Where the way there ends.
-        visit: What is walked there, from the node back to it, metres; the node alone where there is nothing more.
+    The way there ends at a node; a visit is the line from the node back to it, metres, or the node alone.
     """
 
     node: int
@@ -34,14 +32,10 @@ class Station:
 
 @dataclass(frozen=True)
 class Ways:
-    """A graph of paths through a building.
+    """A graph of paths through a building, metres.
 
-    Attributes:
-        points: Nodes, metres, on the floor or the middle of the steps.
-        freedom: Sideways distance that is free at each node, metres.
-        before: Last node before j of the shortest path from node i to node j.
-        far: Length of that path, metres.
-        tour: Stations in the order of a tour of the whole building.
+    Nodes lie on the floor or the middle of the steps, with a sideways freedom at each. The shortest path from node i to
+    node j has the length `far` and the last node `before` j. The tour leads through the whole building.
     """
 
     points: Float64[np.ndarray, "n 3"]

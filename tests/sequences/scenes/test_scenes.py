@@ -1,6 +1,5 @@
 import subprocess
 import sys
-from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -9,7 +8,7 @@ import pytest
 from filtering.se3 import Poses
 from sequences.frame import Camera
 from sequences.rendering.render import LitScene, pixel_rays, render, sees_cue
-from sequences.scenes import SCENES, ceiling, corridor, find_scene, scene_names, stairwell
+from sequences.scenes import SCENES, ceiling, corridor, find_scene, stairwell
 from sequences.scenes.ceiling import roll_through_hall
 from sequences.scenes.corridor import walk_corridor
 from sequences.scenes.staircase import walk_stairs
@@ -55,15 +54,10 @@ def matt(name: str) -> LitScene:
 # --- specifications --------------------------------------------------------------------------------
 
 
-def test_a_scene_goes_by_the_name_of_its_row(name):
-    assert find_scene(name).name == name
-
-
-def test_no_two_scenes_draw_the_same_random_numbers_and_those_of_old_scenes_never_change():
-    numbers = {name: find_scene(name).seed_numbers for name in [*SCENES, "building-0", "building-7"]}
-    assert len(set(numbers.values())) == len(numbers)
-    old = {"staircase": (0,), "ceiling": (1,), "round-table": (2,), "dinner-table": (3,), "corridor": (4,)}
-    assert numbers.items() >= (old | {"building-7": (1000, 7)}).items()
+def test_scenes_go_by_their_names_and_seed_numbers_which_never_change():
+    numbers = {"staircase": (0,), "ceiling": (1,), "round-table": (2,), "dinner-table": (3,), "corridor": (4,)}
+    numbers["building-7"] = (1000, 7)
+    assert {find_scene(name).name: find_scene(name).seed_numbers for name in [*SCENES, "building-7"]} == numbers
 
 
 @pytest.mark.parametrize("name", [*SCENES, "building-0"])
@@ -72,20 +66,13 @@ def test_a_scene_says_whether_anything_in_it_is_unique(name):
     assert scene.has_cues == any(placement.part.cue for placement in scene.placements("test", 0))
 
 
-def test_names_to_choose_from_are_those_of_all_scenes_or_of_those_in_which_something_is_unique():
-    assert scene_names() == ("staircase", "ceiling", "round-table", "dinner-table", "corridor", "building-N")
-    assert scene_names(with_cues=True) == ("staircase", "ceiling", "corridor", "building-N")
-
-
 def test_a_scene_is_imported_when_it_is_asked_for_and_not_before():
     code = (
-        "import sys; from sequences.scenes import find_scene, is_scene, scene_names;"
-        "is_scene('ceiling'); scene_names();"
-        "before = [m for m in sys.modules if m.startswith('sequences.scenes.')]; find_scene('ceiling');"
-        "print(before, 'sequences.scenes.ceiling' in sys.modules, 'sequences.scenes.corridor' in sys.modules)"
+        "import sys; from sequences.scenes import find_scene, is_scene; is_scene('ceiling'); find_scene('ceiling');"
+        "print([m for m in sys.modules if m in ('sequences.scenes.ceiling', 'sequences.scenes.corridor')])"
     )
     printed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    assert printed.split() == ["[]", "True", "False"]
+    assert printed.strip() == "['sequences.scenes.ceiling']"
 
 
 # --- ambiguity: what looks the same, and what does not ---------------------------------------------
@@ -163,13 +150,6 @@ def test_each_end_of_the_corridor_shows_the_floor(floor, x, yaw):
     assert fraction_that_differs(picture(scene, here), picture(scene, there)) > 0.05
 
 
-def test_the_two_ends_of_the_corridor_differ_without_the_painted_walls():
-    scene = load_scene("corridor")
-    ends = [look((2.0, 1.2, 1.5), np.pi, 0.0), look((73.0, 1.2, 1.5), 0.0, 0.0)]
-    pictures = [picture(scene, end)[18:54, 24:72] for end in ends]
-    assert fraction_that_differs(*pictures) > 0.5
-
-
 def turned(pose: Poses, angle: float) -> Poses:
     """The pose carried about the z axis of the world."""
     return Poses.exp(np.array([0, 0, 0, 0, 0, angle])) @ pose
@@ -183,22 +163,9 @@ def test_a_table_looks_the_same_from_four_sides_or_two_and_from_no_more(scene_na
     first = picture(scene, pose)
     for turn in range(1, modes):
         assert fraction_that_differs(first, picture(scene, turned(pose, 2 * np.pi * turn / modes))) < 0.01
-    assert (
-        fraction_that_differs(first, picture(scene, turned(pose, np.pi / modes))) > 0.1
-    )  # half of the way to the next
+    between = turned(pose, np.pi / modes)  # half of the way to the next
+    assert fraction_that_differs(first, picture(scene, between)) > 0.1
     assert fraction_that_differs(first, picture(scene, turned(pose, 0.05))) > 0.2  # nor from anywhere nearby
-
-
-@pytest.mark.parametrize("scene_name", ["round-table", "dinner-table"])
-def test_images_of_a_table_from_two_like_poses_differ_by_noise_alone(scene_name):
-    sequence = synthesize(scene_name, seed=3, num_frames=1, width=96, height=72)
-    half_turn = Poses.exp(np.array([0, 0, 0, 0, 0, np.pi]))
-    opposite = replace(sequence, world_from_base=half_turn @ sequence.world_from_base)
-    again = replace(sequence, seed=np.random.SeedSequence(7))
-    original, other, noisy = (next(s.images()).astype(float) for s in (sequence, opposite, again))
-    noise = np.abs(noisy - original).mean()
-    assert noise > 0.5  # of 255: there is some
-    assert np.abs(other - original).mean() < 1.1 * noise
 
 
 def test_walks_about_a_table_see_it_from_all_sides():
@@ -239,9 +206,8 @@ def _photometric_error(scene, camera, pictures, first: Poses, second: Poses) -> 
     points = points @ there.rotation.T + there.translation
     u = (camera.fx * points[..., 0] / points[..., 2] + camera.cx).astype(np.float32)
     v = (camera.fy * points[..., 1] / points[..., 2] + camera.cy).astype(np.float32)
-    grey = [
-        np.log(0.02 + cv2.GaussianBlur(p.mean(axis=2), (0, 0), 1.5)) for p in pictures
-    ]  # texture is finer than pixels
+    # Texture is finer than pixels.
+    grey = [np.log(0.02 + cv2.GaussianBlur(p.mean(axis=2), (0, 0), 1.5)) for p in pictures]
     seen = cv2.remap(depth_there, u, v, cv2.INTER_NEAREST, borderValue=-1.0)
     visible = (np.abs(seen - points[..., 2]) < 0.03 * points[..., 2]) & (points[..., 2] > 0.1)
     assert visible.mean() > 0.2
@@ -269,17 +235,13 @@ def test_no_camera_passes_through_a_wall_or_comes_too_near_to_one(name):
 
 
 def test_long_walks_visit_every_floor_both_ways():
-    heights, ups = [], []
-    for seed in range(4):
-        walk = walk_stairs(300.0, rng=np.random.default_rng(seed))
-        heights.append(walk.translation[:, 2])
-        ups.append(np.gradient(walk.translation[:, 2], 0.02))
-    floor = np.concatenate(heights) // stairwell.FLOOR_HEIGHT
-    climb = np.concatenate(ups)
+    walks = [walk_stairs(300.0, rng=np.random.default_rng(seed)).translation[:, 2] for seed in range(4)]
+    floor = np.concatenate(walks) // stairwell.FLOOR_HEIGHT
+    climb = np.concatenate([np.gradient(heights, 0.02) for heights in walks])
     for level in range(stairwell.NUM_FLOORS - 1):
-        assert (floor == level).mean() > 0.05
-        assert ((floor == level) & (climb > 0.1)).any()
-        assert ((floor == level) & (climb < -0.1)).any()
+        there = floor == level
+        assert there.mean() > 0.05
+        assert min((there & (climb > 0.1)).sum(), (there & (climb < -0.1)).sum()) > 0
 
 
 def test_walks_in_the_corridor_go_all_along_both_floors_both_ways_at_a_walking_pace():

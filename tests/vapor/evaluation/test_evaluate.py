@@ -66,18 +66,6 @@ def test_known_errors_give_known_medians_rmse_and_recalls():
     assert metrics["recall"] == pytest.approx({"0.1m/10deg": 0.2, "0.2m/15deg": 0.4, "0.3m/20deg": 0.6})
     assert metrics["worse_than"] == pytest.approx({"0.1m": 0.6, "0.25m": 0.2, "0.5m": 0.2})
     assert metrics["position_recall"] == pytest.approx({"1m": 0.8, "3m": 1.0, "5m": 1.0})
-    assert set(metrics) == {
-        *("median_translation_m", "median_rotation_deg", "ape_rmse_m"),
-        *("recall", "position_recall", "worse_than"),
-    }
-
-
-def test_position_recall_asks_where_the_camera_is_and_not_which_way_it_looks():
-    truth = walk(4)
-    estimate = shifted(truth, np.array([0.999, 1.001, 4.999, 5.001]), np.array([179.0, 0.0, 90.0, 0.0]))
-    metrics = evaluate_trajectory(estimate, truth, tracking=False)
-    assert metrics["position_recall"] == {"1m": 0.25, "3m": 0.5, "5m": 0.75}
-    assert metrics["recall"]["0.3m/20deg"] == 0.0
 
 
 def test_the_translation_error_agrees_with_evo():
@@ -134,10 +122,12 @@ def test_being_right_only_in_the_last_fifth_is_no_convergence():
 # --- association --------------------------------------------------------------------------------------
 
 
-def test_stamps_in_a_gap_and_outside_the_truth_have_no_true_pose():
+def test_true_poses_are_interpolated_but_in_a_gap_and_outside():
     truth = Trajectory(np.array([0, S // 5, 2 * S]), true_walk(3))
-    found, _ = associate(np.array([-1, S // 10, S // 2, 2 * S, 2 * S + 1]), truth)
+    found, poses = associate(np.array([-1, S // 10, S // 2, 2 * S, 2 * S + 1]), truth)
     assert found.tolist() == [False, True, False, True, False]
+    halfway = truth.poses[0].interpolate(truth.poses[1], 0.5)
+    assert np.allclose(poses.as_matrix(), [halfway.as_matrix(), truth.poses[2].as_matrix()], atol=1e-12)
 
 
 def test_images_without_true_pose_are_left_out():
@@ -193,10 +183,6 @@ def test_consistency_counts_only_images_that_are_said_to_be_converged():
         "coverage": {"50%": 0.5, "90%": 0.5, "95%": 0.5},
         "median_nees": pytest.approx(18.0),
     }
-    near = shifted(truth, np.where(np.arange(10) < 8, 0.31, 0.29), np.zeros(10))
-    assert evaluate_consistency(near, covariance, converged, truth)["wrong"] == 0.5
-    turned = shifted(truth, np.zeros(10), np.where(np.arange(10) < 9, 21.0, 19.0))
-    assert evaluate_consistency(turned, covariance, converged, truth)["wrong"] == 0.75
     nothing = evaluate_consistency(estimate, covariance, np.zeros(10, bool), truth)
     assert nothing == {"images": 0, "wrong": None, "coverage": None, "median_nees": None}
 

@@ -11,7 +11,7 @@ from sequences.frame import Frame
 from sequences.writer import SequenceWriter
 from tests.helpers.inspected import BEGIN_NS, only
 from tests.helpers.textured_room import CAMERA, Room, walk
-from vapor.commands.inspect_tables import parts
+from vapor.commands.inspect import parts
 from vapor.inspection.camera import CameraViews
 from vapor.inspection.inspect import inspect
 
