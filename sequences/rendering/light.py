@@ -144,7 +144,8 @@ def _bounces(
     is_facing = np.einsum("nd,nd->n", geometry.normals()[quad], ray) < 0
     chart = np.where((quad >= 0) & is_facing, geometry.chart[quad], -1)
     behind = ((quad >= 0) & ~is_facing).reshape(len(point), num_rays)
-    return *(each.reshape(behind.shape) for each in (chart, s, t)), behind.mean(axis=1) < 0.3
+    shape = behind.shape
+    return chart.reshape(shape), s.reshape(shape), t.reshape(shape), behind.mean(axis=1) < 0.3
 
 
 def _filled(grid: np.ndarray, is_open: np.ndarray) -> np.ndarray:

@@ -22,10 +22,16 @@ class LitScene:
     Attributes:
         geometry: The parallelograms, which of them are cues, and the chart each one wears.
         tracer: The same, ready for rays.
-        normals: Unit normal of each parallelogram, (n, 3) float32.
-        start, rows, columns: First texel and size of the chart that each parallelogram wears, (n,).
-        gloss: Fraction of the Fresnel reflection that each parallelogram mirrors, (n,).
+        normals: Unit normal of each parallelogram.
+        start, rows, columns: First texel and size of the chart that each parallelogram wears.
+        gloss: Fraction of the Fresnel reflection that each parallelogram mirrors.
     """
+
+    normals: Float32[np.ndarray, "n 3"]
+    start: Int32[np.ndarray, " n"]
+    rows: Int32[np.ndarray, " n"]
+    columns: Int32[np.ndarray, " n"]
+    gloss: Float32[np.ndarray, " n"]
 
     def __init__(self, placements: Sequence[Placement], *, seed: int, sampling: Sampling = USUAL) -> None:
         """Place the parts; the seed is of stains, grain and light samples."""

@@ -11,6 +11,7 @@ from sequences.paths import STEP_S, eased, eased_angle, rotations, wander
 from sequences.rendering import texture
 from sequences.rendering.mesh import Part, Placement
 from sequences.rendering.texture import Canvas, Material, band, blend, inside, plain, rim, weathered
+from sequences.scenes.lines import distances_along, points_at, resampled
 from sequences.scenes.scene import HELMET, Scene
 from sequences.scenes.stairwell import (
     ACROSS,
@@ -173,7 +174,8 @@ def walk_stairs(duration_s: float, *, rng: np.random.Generator) -> Poses:
 
     Starts anywhere, either way; pauses, looks about, now and then turns round; sways and bobs with every step.
     """
-    line, length = _stair_line()
+    line = _stair_line()
+    length = float(distances_along(line)[-1])
     steps = int(np.ceil(duration_s / STEP_S)) + 1
     place = np.empty(steps)
     walking = np.empty(steps)
@@ -192,8 +194,7 @@ def walk_stairs(duration_s: float, *, rng: np.random.Generator) -> Poses:
         place[i], walking[i], ways[i] = s, abs(speed), way
 
     def at(distance: np.ndarray) -> np.ndarray:
-        sample = np.clip(distance, 0, length)
-        return np.stack([np.interp(sample, line[:, 3], line[:, axis]) for axis in range(3)], axis=-1)
+        return points_at(line, np.clip(distance, 0, length))
 
     here = at(place)
     tangent = at(place + 0.1) - at(place - 0.1)
@@ -216,8 +217,8 @@ def walk_stairs(duration_s: float, *, rng: np.random.Generator) -> Poses:
     return Poses(rotations(yaw, pitch, roll), here)
 
 
-def _stair_line() -> tuple[Float64[np.ndarray, "n 4"], float]:
-    """The line of a person's feet, from the entrance to the top: x, y, z and the distance walked; and its length."""
+def _stair_line() -> Float64[np.ndarray, "n 3"]:
+    """The line of a person's feet, from the entrance to the top."""
     low_y, high_y = WIDTH / 2, ACROSS - WIDTH / 2
     radius, middle = (high_y - low_y) / 2, ACROSS / 2
     near, far = LANDING, LANDING + FLIGHT
@@ -231,14 +232,7 @@ def _stair_line() -> tuple[Float64[np.ndarray, "n 4"], float]:
         if level < NUM_FLOORS - 2:
             points += [(near - 0.1 - radius * np.cos(a), middle - radius * np.sin(a), z + FLOOR_HEIGHT) for a in turn]
     points.append((0.75, middle + 0.4, (NUM_FLOORS - 1) * FLOOR_HEIGHT))
-    rough = np.array(points)
-    walked = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(rough, axis=0), axis=1))])
-    fine = np.arange(0, walked[-1], 0.02)
-    line = np.stack(
-        [gaussian_filter1d(np.interp(fine, walked, rough[:, a]), 8, mode="nearest") for a in range(3)], axis=1
-    )
-    distance = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
-    return np.column_stack([line, distance]), float(distance[-1])
+    return gaussian_filter1d(resampled(np.array(points), 0.02), 8, axis=0, mode="nearest")
 
 
 def _placements() -> list[Placement]:

@@ -31,7 +31,7 @@ class ImageClock:
     """
 
     name: str
-    against: By | None
+    against: str | None
     late_ms: float | None
 
     @staticmethod

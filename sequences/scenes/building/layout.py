@@ -12,7 +12,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from sequences.scenes.building.furniture import MIDDLE, WANTED, Piece, draw_furniture, radiator
-from sequences.scenes.building.plan import DOOR_WIDTH, Plan, Slot, Spot, resampled
+from sequences.scenes.building.plan import DOOR_WIDTH, Plan, Slot, Spot
+from sequences.scenes.lines import resampled
 
 Rectangle: TypeAlias = tuple[float, float, float, float]
 Box: TypeAlias = tuple[float, float, float, float, float]

@@ -15,8 +15,9 @@ from sequences.rendering.mesh import Part
 from sequences.rendering.texture import plain
 from sequences.scenes.building.layout import layout
 from sequences.scenes.building.paint import colour
-from sequences.scenes.building.plan import Plan, Spot, distances_along, points_at, resampled
+from sequences.scenes.building.plan import Plan, Spot
 from sequences.scenes.building.ways import ASIDE_M, Station, Ways, ways
+from sequences.scenes.lines import distances_along, points_at, resampled
 from sequences.scenes.scene import SPLITS
 
 PERSON_RADIUS = 0.27  # of a circle around a person, metres

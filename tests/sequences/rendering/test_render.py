@@ -124,5 +124,5 @@ def test_light_in_a_closed_white_box_is_what_bounces_add_to_it():
         bake_light(geometry, Tracer(geometry), reflectance, emitted, rng=np.random.default_rng(0))
         for reflectance in (0 * albedo, albedo)
     )
-    # On the floor; every bounce passes on about half: two of them add less than the 1/(1 − 0.5) of all, but a good part.
+    # On the floor. Every bounce passes on about half: two of them add less than the 1/(1 − 0.5) of all, but much.
     assert 1.25 < bounced[5].mean() / direct[5].mean() < 2.0

@@ -9,10 +9,6 @@ from filtering.se3 import Poses
 from sequences.frame import Camera
 from sequences.rendering.render import LitScene, pixel_rays, render, sees_cue
 from sequences.scenes import SCENES, ceiling, corridor, find_scene, stairwell
-from sequences.scenes.ceiling import roll_through_hall
-from sequences.scenes.corridor import walk_corridor
-from sequences.scenes.staircase import walk_stairs
-from sequences.scenes.tables import circle_table
 from sequences.synthesize import synthesize
 from tests.helpers import views
 from tests.helpers.views import depth_and_quads, fraction_that_differs, shifted
@@ -168,18 +164,6 @@ def test_a_table_looks_the_same_from_four_sides_or_two_and_from_no_more(scene_na
     assert fraction_that_differs(first, picture(scene, turned(pose, 0.05))) > 0.2  # nor from anywhere nearby
 
 
-def test_walks_about_a_table_see_it_from_all_sides():
-    walks = [circle_table(200.0, rng=np.random.default_rng(seed)) for seed in range(3)]
-    xy = np.concatenate([walk.translation[:, :2] for walk in walks])
-    sides, _ = np.histogram(np.arctan2(xy[:, 1], xy[:, 0]), bins=8, range=(-np.pi, np.pi))
-    assert sides.min() > 0.05 * sides.sum()
-    distance = np.linalg.norm(xy, axis=1)
-    assert distance.min() > 1.2
-    assert distance.max() < 2.6
-    steps = np.concatenate([np.linalg.norm(np.diff(walk.translation, axis=0), axis=1) for walk in walks])
-    assert steps.max() < 0.02 * 1.5  # metres in 20 ms
-
-
 # --- poses and images agree ------------------------------------------------------------------------
 
 
@@ -234,38 +218,19 @@ def test_no_camera_passes_through_a_wall_or_comes_too_near_to_one(name):
 # --- walks -----------------------------------------------------------------------------------------
 
 
-def test_long_walks_visit_every_floor_both_ways():
-    walks = [walk_stairs(300.0, rng=np.random.default_rng(seed)).translation[:, 2] for seed in range(4)]
-    floor = np.concatenate(walks) // stairwell.FLOOR_HEIGHT
-    climb = np.concatenate([np.gradient(heights, 0.02) for heights in walks])
-    for level in range(stairwell.NUM_FLOORS - 1):
-        there = floor == level
-        assert there.mean() > 0.05
-        assert min((there & (climb > 0.1)).sum(), (there & (climb < -0.1)).sum()) > 0
+ENDS = {
+    "staircase": ([3.3276, 0.5989, 2.742], [0.0255, -1.4504, -1.1107]),
+    "ceiling": ([11.0065, 7.0164, 0.8945], [-0.4055, -0.6479, -0.0017]),
+    "round-table": ([1.9309, -0.601, 1.6053], [3.1823, 2.059, 0.7003]),
+    "dinner-table": ([1.4634, 0.5725, 1.4555], [1.7075, -1.6805, 0.3792]),
+    "corridor": ([1.3551, 1.206, 4.7524], [6.6938, -1.1055, -0.3833]),
+    "building-2": ([4.2679, 5.3222, 3.6492], [3.3364, -3.8364, 2.7706]),
+}
 
 
-def test_walks_in_the_corridor_go_all_along_both_floors_both_ways_at_a_walking_pace():
-    walks = [walk_corridor(90.0, rng=np.random.default_rng(seed)) for seed in range(12)]
-    place, floor = (np.concatenate([walk.translation[:, axis] for walk in walks]) for axis in (0, 2))
-    ahead = np.concatenate([walk.rotation[:, 0, 0] for walk in walks])
-    for level in range(corridor.NUM_FLOORS):
-        for way in (-1, 1):
-            there = (floor // corridor.FLOOR_HEIGHT == level) & (way * ahead > 0.5)
-            visits, _ = np.histogram(place[there], bins=5, range=(0, corridor.LENGTH))
-            assert visits.min() > 0.005 * len(place)
-    assert np.median([np.ptp(walk.translation[:, 0]) for walk in walks]) > 0.5 * corridor.LENGTH
-    speed = np.concatenate([np.linalg.norm(np.diff(walk.translation, axis=0), axis=1) for walk in walks]) / 0.02
-    assert 1.0 < np.median(speed) < 1.4
-    assert speed.max() < 2.0
-
-
-def test_carts_visit_the_whole_hall_under_all_headings():
-    carts = [roll_through_hall(600.0, margin_m=1.0, rng=np.random.default_rng(seed)) for seed in range(3)]
-    xy = np.concatenate([cart.translation[:, :2] for cart in carts])
-    yaw = np.concatenate([np.arctan2(cart.rotation[:, 1, 0], cart.rotation[:, 0, 0]) for cart in carts])
-    visits, _, _ = np.histogram2d(xy[:, 0], xy[:, 1], bins=(4, 3), range=((0, ceiling.LENGTH), (0, ceiling.BREADTH)))
-    assert visits.min() > 0.02 * visits.sum()
-    headings, _ = np.histogram(yaw, bins=8, range=(-np.pi, np.pi))
-    assert headings.min() > 0.04 * headings.sum()
-    speed = np.linalg.norm(np.diff(xy[:1000], axis=0), axis=1) / 0.02
-    assert speed.max() < 1.0
+@pytest.mark.parametrize("name", ENDS)
+def test_a_seed_gives_the_walk_and_the_odometry_that_it_has_always_given(name):
+    """If others are wanted, count up `SYNTHESIS`: stored recordings and models are of these."""
+    sequence = synthesize(name, seed=1, num_frames=60, split="train", width=32, height=24)
+    ends = [sequence.world_from_camera.translation[-1], sequence.odom_from_base.translation[-1]]
+    np.testing.assert_allclose(ends, ENDS[name], atol=1e-3)
