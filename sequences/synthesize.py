@@ -151,20 +151,16 @@ def synthesize(
 
     Args:
         scene: Name of the scene: one of `SCENES`, or a building by its number, such as `building-7`.
-        seed: Of path, odometry and sensor noise, and of the light and the people in a building; the scene itself is
-            always the same.
+        seed: Of path, odometry and sensor noise, and of the light and the people in a building.
         num_frames: Number of images, without those that a stand adds.
-        split: "test" paths keep further from the edges of the hall than "train" paths, and show something unique
-            "early" where there is anything and `cues` does not state otherwise; "train" paths show "any". The same seed
-            gives different paths in the two. In a building, "train" paths of five seeds in a row begin evenly spread
-            over a tour of all of it, and there are people on "test" paths.
-        cues: Unique things in the scene are passed "early", at will ("any"), or never ("none"); see `choose_path`.
+        split: "test" paths keep further from the edges of the hall than "train" paths. In a building, "train" paths of
+            five seeds in a row begin evenly spread over a tour of all of it, and there are people on "test" paths.
+        cues: Unique things in the scene are passed "early", at will ("any"), or never ("none"); see `choose_path`. None
+            for "early" on "test" paths, where there is anything unique, and "any" on "train" paths.
         width, height: Image size in pixels; the horizontal field of view stays the same.
         noise: Of the odometry; None for that of the scene.
-        rate_hz: Images a second; None for those of the scene, 10 everywhere but in buildings. Path and odometry follow
-            from seed and duration alone, and stamps from a common first one: every third of 900 images at 30 Hz is
-            taken where and when one of 300 at 10 Hz is. What is seen on the way, for `cues`, is looked at ten times a
-            second at every rate.
+        rate_hz: Images a second; None for the scene's, 10 everywhere but in buildings. Path and odometry follow from
+            seed and duration alone: every third of 900 images at 30 Hz is taken where and when one of 300 at 10 Hz is.
         stand: Where the camera stands still, and for how long; that adds images. Odometry goes on, noise and bias too.
 
     Raises:

@@ -15,13 +15,9 @@ _MOST_POINTS = 45  # along a side of a large surface
 
 @dataclass(frozen=True)
 class Sampling:
-    """Density of light samples.
+    """Density of light samples: spacing of the points, and rays from each to every lamp and all around.
 
-    Attributes:
-        grid_m: Spacing of the points at which light is computed.
-        shadow_rays: To each lamp or window, from each point.
-        bounce_rays: From each point.
-        reach_m: Farther lamps do not count.
+    Lamps beyond `reach_m` do not count.
     """
 
     grid_m: float = 0.11

@@ -81,15 +81,10 @@ class Placement:
 
 @dataclass(frozen=True)
 class Geometry:
-    """All parallelograms of a scene, and the charts (painted, lit surfaces) that they wear.
+    """All parallelograms of a scene, metres, world frame, and the charts (painted, lit surfaces) that they wear.
 
-    Attributes:
-        origin, edge_u, edge_v: The parallelograms, metres, world frame.
-        chart: Index of the chart each one wears.
-        cue: Which of them belong to a unique thing.
-        chart_quad: For each chart the parallelogram at which its light is computed.
-        chart_point: For each chart the origin of its parallelogram in the frame of the part.
-        materials: Material of each chart.
+    `cue` marks those of unique things. The light of a chart is computed at the parallelogram
+    `chart_quad`, whose origin in the frame of the part is `chart_point`.
     """
 
     origin: Float64[np.ndarray, "n 3"]

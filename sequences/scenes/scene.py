@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cache, lru_cache
 
 import numpy as np
 
@@ -22,21 +22,15 @@ SPLITS = {"train": 1, "test": 2}
 class Scene:
     """A synthetic scene, and how sequences are recorded in it.
 
+    Its parts depend on the split and seed of a walk where it `changes`. The path is poses of the body every 20 ms, by
+    duration in seconds, split, seed and generator. The field of view is horizontal; rate and noise are defaults.
+
     Attributes:
-        name: For `find_scene`.
         seed_numbers: Distinguish the random numbers of its walks from those of other scenes. Never changed: path,
             odometry and sensor noise of every seed follow from them.
-        placements: Its parts, by split and seed of a walk.
-        path: Poses of the body every 20 ms for a duration in seconds, a split, a seed and a generator.
-        field_of_view_deg: Of the camera, horizontal.
-        base_from_camera: One pose, the extrinsics.
         has_cues: Whether anything in it is unique, so that a camera can find its place.
-        rate_hz: Default number of images a second.
-        noise: Default noise of odometry.
         storey_height_m: From floor to floor along z where all floors look alike from end to end; None elsewhere.
-        changes: Whether its parts or its light differ from walk to walk.
         paint_seed: Of stains, grain and light samples.
-        sampling: Of light.
     """
 
     name: str
@@ -54,12 +48,17 @@ class Scene:
     sampling: Sampling = USUAL
 
     def build(self, split: str, seed: int) -> LitScene:
-        """The scene on one walk, ready to be rendered."""
-        return _built(self, split, seed) if self.changes else _built(self, "test", 0)
+        """The scene on one walk, ready to be rendered; built once per process where it never changes."""
+        return _on_one_walk(self, split, seed) if self.changes else _on_all_walks(self)
 
 
-@lru_cache(maxsize=6)  # all scenes that never change, and a building, which takes some hundreds of megabytes
-def _built(scene: Scene, split: str, seed: int) -> LitScene:
+@cache
+def _on_all_walks(scene: Scene) -> LitScene:
+    return LitScene(scene.placements("test", 0), seed=scene.paint_seed, sampling=scene.sampling)
+
+
+@lru_cache(maxsize=2)  # a large building takes some hundreds of megabytes
+def _on_one_walk(scene: Scene, split: str, seed: int) -> LitScene:
     return LitScene(scene.placements(split, seed), seed=scene.paint_seed, sampling=scene.sampling)
 
 

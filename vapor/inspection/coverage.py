@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from filtering.se3 import Poses
 from filtering.storeys import find_storeys, up_axis
 from vapor.training.config import TrainConfig
 from vapor.training.holding_out import AWAY, WHOLE_OF, hold_out, long_runs, shown_by, way_of
@@ -21,52 +20,6 @@ SECTORS = 8
 STEEP = np.sin(np.deg2rad(60.0))
 _NAMED = 3
 _MOST_CELLS = 50  # along the longer side of the plan
-
-
-@dataclass(frozen=True)
-class Plan:
-    """A map from above, which the cameras outline, with cells of a side in metres.
-
-    Axes are right and up on the map, and up in the world: unit vectors in the world, rows (3, 3); the first two have
-    names such as "x" or "-y".
-    """
-
-    axes: Float64[np.ndarray, "3 3"]
-    names: tuple[str, str]
-    cell_m: float
-
-    @staticmethod
-    def of(poses: Poses, near_m: float) -> Plan:
-        """The plan of cameras (n,): up is the axis of the world that is up in most images."""
-        up = up_axis(poses)
-        first = np.eye(3)[0 if up[0] == 0.0 else 1]
-        second = np.cross(up, first)
-        names = [f"{'-' if axis.sum() < 0 else ''}{'xyz'[int(np.argmax(np.abs(axis)))]}" for axis in (first, second)]
-        extent = np.ptp(poses.translation @ np.stack([first, second]).T, axis=0).max()
-        cell_m = _round(max(near_m / 2, extent / _MOST_CELLS))
-        return Plan(np.stack([first, second, up]), (names[0], names[1]), cell_m)
-
-    def places(self, poses: Poses) -> Float64[np.ndarray, "n 3"]:
-        """Positions on the map and heights, metres."""
-        return poses.translation @ self.axes.T
-
-    def sectors(self, poses: Poses) -> Int64[np.ndarray, " n"]:
-        """Directions of cameras: 0 to 7 from right on the map counterclockwise, 8 up and 9 down."""
-        ahead = poses.rotation[:, :, 2] @ self.axes.T
-        level = np.round(np.arctan2(ahead[:, 1], ahead[:, 0]) / (2 * np.pi / SECTORS)).astype(np.int64) % SECTORS
-        return np.where(np.abs(ahead[:, 2]) < STEEP, level, np.where(ahead[:, 2] > 0, SECTORS, SECTORS + 1))
-
-    def direction(self, sector: int) -> str:
-        """A direction by the axes of the world, such as "+x -y"."""
-        if sector >= SECTORS:
-            return "up" if sector == SECTORS else "down"
-        turn = sector * 2 * np.pi / SECTORS
-        parts = []
-        for size, name in zip((np.cos(turn), np.sin(turn)), self.names, strict=True):
-            if abs(size) > 0.1:
-                negative = (size < 0) != name.startswith("-")
-                parts.append(f"{'-' if negative else '+'}{name[-1]}")
-        return " ".join(parts)
 
 
 def _round(value: float) -> float:
@@ -116,7 +69,7 @@ class Storey:
 class Cell:
     """A square of the map: storey from 0, column from the left, row from below.
 
-    `passes` came near it, of which `looked` counts those that looked each way, by direction (`Plan.sectors`).
+    `passes` came near it, of which `looked` counts those that looked each way, by direction (`Coverage.sectors`).
     """
 
     storey: int
@@ -126,18 +79,32 @@ class Cell:
     looked: Mapping[int, int]
 
 
+def in_axes(vector: Float64[np.ndarray, "3"]) -> str:
+    """A direction in the world by its axes, such as "+x -y"."""
+    named = zip("xyz", vector.tolist(), strict=True)
+    return " ".join(f"{'+' if part > 0 else '-'}{name}" for name, part in named if abs(part) > 0.1)
+
+
 def height(low_m: float, high_m: float) -> str:
     """A range of heights in words."""
     return f"height {low_m:.1f} m" if high_m - low_m < 0.05 else f"height {low_m:.1f} to {high_m:.1f} m"
 
 
 class Coverage:
-    """Coverage of a place by n images with true poses of r recordings, measured as `train` does to hold images out."""
+    """Coverage of a place by n images with true poses of r recordings, measured as `train` does to hold images out.
+
+    It has a map from above, with cells of a side in metres. Axes are right and up on the map, and the world's axis that
+    is up in most images: unit vectors in the world, rows (3, 3).
+    """
 
     def __init__(self, images: TrainingSet) -> None:
         self.images = images
         self.split = hold_out(images, TrainConfig().validation_fraction)
-        self.plan = Plan.of(images.poses, self.split.near_m)
+        up = up_axis(images.poses)
+        right = np.eye(3)[0 if up[0] == 0.0 else 1]
+        self.axes = np.stack([right, np.cross(up, right), up])
+        extent = np.ptp(self.places[:, :2], axis=0).max()
+        self.cell_m = _round(max(self.split.near_m / 2, extent / _MOST_CELLS))
 
     @property
     def by_recordings(self) -> bool:
@@ -154,12 +121,12 @@ class Coverage:
     @cached_property
     def places(self) -> Float64[np.ndarray, "n 3"]:
         """Positions on the map and heights, metres."""
-        return self.plan.places(self.images.poses)
+        return self.images.poses.translation @ self.axes.T
 
     @cached_property
     def cells(self) -> Int64[np.ndarray, "n 2"]:
         """Column and row of the map's cells."""
-        return np.floor((self.places[:, :2] - self.places[:, :2].min(axis=0)) / self.plan.cell_m).astype(np.int64)
+        return np.floor((self.places[:, :2] - self.places[:, :2].min(axis=0)) / self.cell_m).astype(np.int64)
 
     @cached_property
     def storey(self) -> Int64[np.ndarray, " n"]:
@@ -168,8 +135,17 @@ class Coverage:
 
     @cached_property
     def sectors(self) -> Int64[np.ndarray, " n"]:
-        """Direction of each image, see `Plan.sectors`."""
-        return self.plan.sectors(self.images.poses)
+        """Direction of each image: 0 to 7 from right on the map counterclockwise, 8 up and 9 down."""
+        ahead = self.images.poses.rotation[:, :, 2] @ self.axes.T
+        level = np.round(np.arctan2(ahead[:, 1], ahead[:, 0]) / (2 * np.pi / SECTORS)).astype(np.int64) % SECTORS
+        return np.where(np.abs(ahead[:, 2]) < STEEP, level, np.where(ahead[:, 2] > 0, SECTORS, SECTORS + 1))
+
+    def direction(self, sector: int) -> str:
+        """A direction by the axes of the world, such as "+x -y"."""
+        if sector >= SECTORS:
+            return "up" if sector == SECTORS else "down"
+        turn = sector * 2 * np.pi / SECTORS
+        return in_axes(np.cos(turn) * self.axes[0] + np.sin(turn) * self.axes[1])
 
     @cached_property
     def passes(self) -> list[Cell]:
@@ -230,7 +206,7 @@ class Coverage:
         counts = np.bincount(np.minimum(self.others, 4), minlength=5) / len(self.others)
         return {
             "near_m": self.split.near_m,
-            "cell_m": self.plan.cell_m,
+            "cell_m": self.cell_m,
             "judged_by": "recordings" if self.by_recordings else "passes",
             "shown_by_others": {str(i) if i < 4 else "4 or more": float(v) for i, v in enumerate(counts)},
             "alone": [vars(segment) | {"description": str(segment)} for segment in self.alone()],

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vapor.inspection.coverage import SECTORS, Coverage, height
+from vapor.inspection.coverage import SECTORS, Coverage, height, in_axes
 from vapor.reporting.drawing import new_figure, save_figure
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ def draw_map(path: Path, coverage: Coverage) -> Path:
     storeys = coverage.storeys()
     count = min(max(len(storeys), 1), _MOST_STOREYS)
     low, high = coverage.places[:, :2].min(axis=0), coverage.places[:, :2].max(axis=0)
-    pad = coverage.plan.cell_m
+    pad = coverage.cell_m
     size = high - low + 2 * pad
     width = float(np.clip(_PANEL * np.sqrt(size[0] / size[1]), 2.4, _LARGEST))
     tall = float(np.clip(width * size[1] / size[0], 2.0, _LARGEST))
@@ -36,9 +36,17 @@ def draw_map(path: Path, coverage: Coverage) -> Path:
         ax.set_axis_off()
     for storey in range(count):
         ax = axes[storey // columns, storey % columns]
-        title = f"storey {storey + 1} ({height(storeys[storey].low_m, storeys[storey].high_m)})" if storeys else ""
-        _prepare(ax, coverage, low - pad, high + pad, title)
         _draw_passes(ax, coverage, storey)
+        ax.set_axis_on()
+        ax.set_aspect("equal")
+        ax.set(xlim=(low[0] - pad, high[0] + pad), ylim=(low[1] - pad, high[1] + pad))
+        ax.set_xlabel(f"{in_axes(coverage.axes[0]).removeprefix('+')} [m]", fontsize=8)
+        ax.set_ylabel(f"{in_axes(coverage.axes[1]).removeprefix('+')} [m]", fontsize=8)
+        ax.tick_params(labelsize=7)
+        ax.ticklabel_format(useOffset=False, style="plain")
+        ax.spines[["top", "right"]].set_visible(False)
+        if storeys:
+            ax.set_title(f"storey {storey + 1} ({height(storeys[storey].low_m, storeys[storey].high_m)})", fontsize=9)
     _legend(figure)
     names = coverage.images.names
     what = names[0] if len(names) == 1 else f"{len(names)} recordings"
@@ -47,24 +55,12 @@ def draw_map(path: Path, coverage: Coverage) -> Path:
     return save_figure(figure, path)
 
 
-def _prepare(ax: Axes, coverage: Coverage, low: np.ndarray, high: np.ndarray, title: str) -> None:
-    ax.set_axis_on()
-    ax.set_aspect("equal")
-    ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
-    ax.set_xlabel(f"{coverage.plan.names[0]} [m]", fontsize=8)
-    ax.set_ylabel(f"{coverage.plan.names[1]} [m]", fontsize=8)
-    ax.tick_params(labelsize=7)
-    ax.ticklabel_format(useOffset=False, style="plain")
-    ax.set_title(title, fontsize=9)
-    ax.spines[["top", "right"]].set_visible(False)
-
-
 def _draw_passes(ax: Axes, coverage: Coverage, storey: int) -> None:
     """Cells by the number of passes; in each a mark for every direction, dark where two passes or more looked so."""
     from matplotlib.collections import LineCollection, PatchCollection
     from matplotlib.patches import Rectangle
 
-    side, origin = coverage.plan.cell_m, coverage.places[:, :2].min(axis=0)
+    side, origin = coverage.cell_m, coverage.places[:, :2].min(axis=0)
     cells, colors, marks, inks, steep = [], [], [], [], []
     for cell in coverage.passes:
         if cell.storey != storey:

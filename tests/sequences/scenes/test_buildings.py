@@ -91,10 +91,6 @@ def test_no_two_buildings_are_alike():
     places = [find_scene(f"building-{n}") for n in range(20)]
     assert len({replace(draw_plan(n), number=0) for n in range(20)}) == 20
     assert len({(p.field_of_view_deg, *p.base_from_camera.translation, p.noise.scale) for p in places}) == 20
-    first, second = (
-        next(synthesize(f"building-{n}", seed=0, num_frames=1, width=32, height=24).images()) for n in (0, 2)
-    )
-    assert (first != second).mean() > 0.5
 
 
 def test_a_room_overlaps_no_other_one_and_no_corridor():
@@ -125,24 +121,6 @@ def test_names_of_no_building_are_refused(name):
 
 
 # --- the same and not the same ---------------------------------------------------------------------
-
-
-def test_number_and_seed_give_the_same_bytes_and_another_seed_or_split_does_not():
-    def bytes_of(seed: int, **options) -> tuple[bytes, bytes]:
-        for drawn in (find_scene, draw_plan, unique_things, ways):
-            drawn.cache_clear()
-        sequence = synthesize(SMALL, seed=seed, num_frames=2, width=32, height=24, **options)
-        images = np.stack(list(sequence.images()))
-        return images.tobytes(), sequence.odom_from_base.as_matrix().tobytes()
-
-    original = bytes_of(5)
-    assert original == bytes_of(5)
-    other = bytes_of(5, split="train")
-    assert original[0] != other[0]
-    assert original[1] != other[1]
-    first, second = (synthesize(SMALL, seed=seed, num_frames=2).odom_from_base.as_matrix() for seed in (5, 6))
-    assert first.tobytes() == original[1]
-    assert not np.array_equal(first, second)
 
 
 def test_floors_look_the_same_where_nothing_unique_shows():
@@ -230,7 +208,7 @@ def test_walks_are_continuous_and_as_fast_as_someone_who_walks(split):
 
 def test_five_training_walks_go_everywhere_and_begin_and_end_apart():
     net = ways(draw_plan(7))
-    long_enough_s = net.tour_m / TRAINING_WALKS / 0.4
+    long_enough_s = net.lengths_m()[-1] / TRAINING_WALKS / 0.4
     walks = [walk(7, "train", seed, long_enough_s).translation for seed in range(TRAINING_WALKS)]
     been = np.concatenate(walks)[::5]
     for station in net.tour:
@@ -245,7 +223,7 @@ def test_a_walk_keeps_away_from_people():
     plan = draw_plan(5)
     for seed in range(4):
         visit = draw_visit(plan, "test", seed)
-        base = walk_building(plan, visit, 60.0, training=False, seed=seed, rng=np.random.default_rng(seed)).translation
+        base = walk_building(plan, visit, 60.0, rng=np.random.default_rng(seed)).translation
         for level, spot, _ in visit.people:
             assert np.linalg.norm(base - (spot.x, spot.y, level * plan.storey), axis=1).min() > 0.5
 
