@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -80,16 +81,17 @@ def inspect(
     predicted: list[Prediction] = []
     some: EvenlySpaced[SeenImage] = EvenlySpaced(MOST_IMAGES)
     views = CameraViews()
-    rng = np.random.default_rng(0)
+    rng, done = np.random.default_rng(0), count(1)
 
     def take(frame: Frame) -> None:
+        progress("reading images", next(done), None)
         see(frame)
         views.take(frame)
         if model is not None:
             some.add(lambda: (frame.image, frame.camera))
             predicted.append(Prediction.of(model.observe(frame.image, rng=rng)))
 
-    walks = read_walks(data, reading, see=take, progress=lambda done: progress("reading images", done, None))
+    walks = read_walks(data, reading, see=take)
     images = posed_images(walks)
     coverage = odometry = predictions = None
     notices: tuple[str, ...] = ()

@@ -27,12 +27,11 @@ def read_walks(
     reading: SequenceOptions | None = None,
     *,
     see: Callable[[Frame], None] = lambda frame: None,
-    progress: Callable[[int], None] = lambda done: None,
 ) -> list[Walk]:
     """Read recordings once, one image at a time.
 
     Data are `PATH` or `PATH@START:STOP`, as `train` takes them; true poses may be missing. `see` is called with every
-    frame in order, `progress` with the number of images read so far.
+    frame in order.
 
     Raises:
         TrainingError: no data, a bad range, or a pose that is not finite.
@@ -41,7 +40,6 @@ def read_walks(
     if not data:
         raise TrainingError("no data, expected at least one file or folder")
     walks: list[Walk] = []
-    done = 0
     for name, (path, which) in name_entries(data).items():
         source = Source(path, which, reading)
         parts: dict[int, Walk] = {}
@@ -52,8 +50,6 @@ def read_walks(
             if frame.sequence not in parts:
                 parts[frame.sequence] = Walk(name, source)
             parts[frame.sequence].take(frame)
-            done += 1
-            progress(done)
         for number, walk in parts.items():
             walk.name = name if len(parts) == 1 else f"{name}, sequence {number + 1}"
             walks.append(walk)

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,22 +14,23 @@ from sequences.odometry import OdometryNoise, simulate_odometry
 from sequences.scenes.staircase import walk_stairs
 from sequences.trajectories.interpolation import interpolate
 from sequences.writer import SequenceWriter
+from tests.helpers.corridors import recorded
 from tests.helpers.full import some
 from tests.helpers.inspected import BEGIN_NS, CAMERA, LEVEL, SECOND, panorama, scenery, write
 from vapor.inspection.inspect import inspect
 from vapor.inspection.odometry import OdometryCheck, check_odometry
 from vapor.inspection.verdict import verdict
-from vapor.training_data.training_set import TrainingSet
 
 pytestmark = pytest.mark.usefixtures("no_camera")
+
+AS_THEY_ARE = np.eye(3)
 
 
 def compared(
     *,
     scale: float = 0.0,
     late_s: float = 0.0,
-    turned: np.ndarray | None = None,
-    mirrored: np.ndarray | None = None,
+    axes: np.ndarray = AS_THEY_ARE,
     unit_m: float = 1.0,
     seconds: float = 30.0,
 ) -> OdometryCheck:
@@ -38,27 +40,14 @@ def compared(
     path_ns = BEGIN_NS + np.arange(len(path)) * (SECOND // 50)
     noise = OdometryNoise(fixed_scale=scale, translation_bias_m_per_s=0.001, heading_bias_rad_per_s=0.0002)
     odometry, covariances = simulate_odometry(path_ns, path, noise, rng=rng)
-    about = Poses(np.eye(3) if turned is None else turned, np.zeros(3))
     times_ns = BEGIN_NS + SECOND + np.arange(int(10 * seconds)) * (SECOND // 10)
     truth, _ = interpolate(path_ns, path, times_ns, max_gap_s=1.0)
     reported, _ = interpolate(path_ns, odometry, times_ns - round(late_s * SECOND), max_gap_s=1.0)
-    reported = about.inverse() @ reported @ about
-    if mirrored is not None:
-        reported = Poses(mirrored @ reported.rotation @ mirrored, reported.translation @ mirrored)
-    reported = Poses(reported.rotation, reported.translation / unit_m)
+    reported = Poses(axes.T @ reported.rotation @ axes, reported.translation @ axes / unit_m)
     steps = [None]
     for i in range(1, len(times_ns)):
         steps.append(Odometry(reported[i - 1].inverse() @ reported[i], 0.1 * covariances[1] * 0.1, 0.1))
-    images = TrainingSet(
-        np.zeros((len(times_ns), 1, 1, 3), np.uint8),
-        np.arange(len(times_ns)),
-        truth,
-        np.zeros(len(times_ns), np.int64),
-        ("walk",),
-        (1, 1),
-        times_ns,
-        tuple(steps),
-    )
+    images = replace(recorded(truth), times_ns=times_ns, odometry=tuple(steps))
     found = check_odometry(images)
     assert found is not None
     return found
@@ -90,7 +79,7 @@ def test_a_scale_error_of_three_percent_is_found():
 @pytest.mark.parametrize("degrees", [25.0, 90.0])
 def test_a_camera_turned_on_its_base_is_named_and_put_right_before_errors_are_fitted(degrees):
     turn = Poses.exp(np.array([0.0, 0.0, 0.0, 0.0, np.radians(degrees), 0.0])).rotation
-    found = compared(turned=turn, scale=0.03)
+    found = compared(axes=turn, scale=0.03)
     assert found.axes is not None
     assert found.axes.is_turned
     np.testing.assert_allclose(np.degrees(found.axes.rotvec), [0.0, degrees, 0.0], atol=2.0)
@@ -103,7 +92,7 @@ def test_a_camera_turned_on_its_base_is_named_and_put_right_before_errors_are_fi
 @pytest.mark.usefixtures("unchecked", "no_odometry_fit")
 @pytest.mark.parametrize("across", [(1, -1, 1), (-1, 1, 1)])
 def test_a_left_handed_frame_is_named_and_no_turn(across):
-    found = compared(mirrored=np.diag(np.array(across, float)))
+    found = compared(axes=np.diag(np.array(across, float)))
     assert found.axes is not None
     assert not any((found.axes.is_turned, found.axes.is_unlike))
     assert any("left-handed" in sentence for sentence in verdict([], None, found, [], None))
