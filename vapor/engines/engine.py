@@ -23,8 +23,8 @@ class EngineConfig:
     """What runs the network, and how precisely."""
 
     engine: EngineName = "auto"
-    """What runs the network. openvino is for processors, and compiles a network once, beside its file (extra
-    `openvino`); auto takes it there where it was faster when the network was compiled, torch otherwise."""
+    """What runs the network. openvino is for processors, and compiles a network once, into the user's cache
+    (extra `openvino`); auto takes it there where it was faster when the network was compiled, torch otherwise."""
     precision: Precision = "float32"
     """Arithmetic of the network: bfloat16 is faster on GPUs, and by openvino on processors that have it; it moves
     samples by centimetres."""

@@ -13,7 +13,7 @@ from vapor.checkpoints.file_format import is_onnx, load_checkpoint, load_descrip
 from vapor.engines import openvino_engine
 from vapor.engines.engine import Device, Engine, EngineConfig, Precision
 from vapor.engines.onnx_file import describe_onnx
-from vapor.engines.openvino_engine import Compiled, Variant, can_be_kept, read_compiled, write_compiled
+from vapor.engines.openvino_engine import Compiled, KeptNetwork, can_be_kept
 from vapor.threads import limited_threads
 
 _SAMPLES = 1000  # with which engines are timed
@@ -48,39 +48,30 @@ def start_engine(
     file = model.file
     exported = file is not None and is_onnx(file)
     asked = _asked(config, device, file if exported else None)
-    if asked == "torch" or (asked == "auto" and not (file and can_be_kept(file) and openvino_engine.is_installed())):
+    if asked == "torch" or (asked == "auto" and not (file and can_be_kept() and openvino_engine.is_installed())):
         return _torch(model, config.precision, device)
-    openvino_engine.require_installed(_what(config, file if exported else None))
+    openvino_engine.require_installed()
     if config.precision == "bfloat16":
         openvino_engine.require_bfloat16()
     return _openvino(model, config, exported=exported, threads=threads, must=asked == "openvino")
 
 
-def _what(config: EngineConfig, exported: Path | None) -> str:
-    """The setting that requires OpenVINO, in words."""
-    if exported is not None:
-        return str(exported)
-    return "engine openvino" if config.engine == "openvino" else f"precision {config.precision} on a processor"
-
-
 def _asked(config: EngineConfig, device: Device, exported: Path | None) -> str:
     """torch, openvino, or auto where both will do."""
-    if exported is not None and (config.engine == "torch" or device == "cuda"):
-        asked = "engine torch" if config.engine == "torch" else "device cuda"
-        raise VaporTrackError(f"{exported}: {asked} with an exported model, expected engine openvino on a processor")
-    if config.engine == "openvino" and device == "cuda":
-        raise VaporTrackError("engine openvino with device cuda: it runs on processors, expected engine torch")
-    if exported is not None:
+    if exported is not None or config.engine == "openvino":
+        if config.engine == "torch" or device == "cuda":
+            raise VaporTrackError(
+                f"{exported or 'engine openvino'} with engine {config.engine} and device {device}, expected engine"
+                " openvino on a processor"
+            )
         return "openvino"
-    if config.engine != "auto":
-        return config.engine
-    if device == "cuda" or (device == "auto" and _has_cuda()):
+    if config.engine == "torch" or device == "cuda" or (device == "auto" and _has_cuda()):
         return "torch"
     return "openvino" if config.precision == "bfloat16" else "auto"
 
 
 def _has_cuda() -> bool:
-    """Whether torch finds a GPU; it is not loaded to look for one where the system has none."""
+    """Whether torch finds a GPU; torch is not loaded where the system has none."""
     if not any(any(Path("/dev").glob(name)) for name in ("nvidia*", "dxg")):
         return False
     import torch
@@ -106,16 +97,9 @@ def _openvino(
     model: Checkpoint | ModelDescription, config: EngineConfig, *, exported: bool, threads: int, must: bool
 ) -> Engine:
     """OpenVINO's engine as kept, or compiled and kept; torch's where that was faster and is allowed."""
-    described = model if isinstance(model, ModelDescription) else model.description
-    variant = Variant(
-        described.network_sha256,
-        described.ood_model is not None,
-        config.precision,
-        openvino_engine.processor(),
-        openvino_engine.version(),
-    )
-    file, precision = described.file, config.precision
-    kept = None if file is None else read_compiled(file, variant)
+    described, precision = model if isinstance(model, ModelDescription) else model.description, config.precision
+    place = None if described.file is None else KeptNetwork(described, precision)
+    kept = None if place is None else place.read()
     if kept is not None and not must and not kept.faster:
         return _torch(model, precision, "cpu")
     if kept is not None:
@@ -141,7 +125,7 @@ def _openvino(
             ) from error
     engine = openvino_engine.OpenVINOEngine(compiled)
     faster = None if torch is None else _is_faster(engine, torch, described, threads)
-    is_kept = file is not None and write_compiled(file, variant, Compiled(compiled.export_model().getvalue(), faster))
+    is_kept = place is not None and place.write(Compiled(compiled.export_model().getvalue(), faster))
     if torch is not None and not must and not (faster and is_kept):
         return torch
     return engine

@@ -14,7 +14,7 @@ from jaxtyping import Float, UInt8
 from torch import Tensor, nn
 
 from filtering.se3 import Poses
-from vapor.regressors.loss import Loss, LossConfig
+from vapor.regressors.loss import LossConfig
 from vapor.regressors.network_config import NetworkConfig, make_backbone, pixel_statistics
 from vapor.regressors.scene_box import SceneBox
 
@@ -94,7 +94,7 @@ class PoseRegressor(nn.Module, ABC):
     @abstractmethod
     def loss(
         self, images: Images, true_translation: Positions, true_rotation: Rotations, noise: Noise, config: LossConfig
-    ) -> Loss:
+    ) -> Float[Tensor, ""]:
         """The loss of one batch, in training mode, with noise of `samples_in_training` samples of each image.
 
         With `relative`, the two halves of the batch are pairs.

@@ -19,7 +19,7 @@ from torch.nn import functional
 from filtering.se3 import Poses
 from vapor.regressors.base import DensityRegressor, Features, Images, Noise, PoseSamples, Positions, Rotations
 from vapor.regressors.layers import count_below, normal_cdf, rodrigues
-from vapor.regressors.loss import Loss, LossConfig, pose_distance
+from vapor.regressors.loss import LossConfig
 from vapor.regressors.network_config import NetworkConfig
 from vapor.regressors.scene_box import SceneBox
 
@@ -97,23 +97,19 @@ class FlowRegressor(DensityRegressor):
 
     def loss(
         self, images: Images, true_translation: Positions, true_rotation: Rotations, noise: Noise, config: LossConfig
-    ) -> Loss:
+    ) -> Float[Tensor, ""]:
         """Negative log density of the true poses, nats, after a little noise.
 
         Without noise the density of mere points would grow without bounds, and nothing beside them would be learned.
-        The same noise draws one sample of each image, whose distance from the true pose is reported.
         """
         feature = self.extract_features(images)
         truth = true_translation[:, None], true_rotation[:, None]
-        with torch.no_grad():
-            distance = pose_distance(*self.sample(feature, noise), *truth, config, self.box).mean()
         with torch.autocast(images.device.type, enabled=False):
             turn = _TARGET_NOISE_RAD * noise[..., 3:]
             angle = torch.linalg.vector_norm(turn, dim=-1).clamp_min(1e-9)
             translation = truth[0] + _TARGET_NOISE_M * noise[..., :3]
             rotation = truth[1] @ rodrigues(turn / angle[..., None], angle)
-        total = -self.log_density(feature, translation, rotation).mean()
-        return Loss(total, torch.zeros_like(distance), distance)
+        return -self.log_density(feature, translation, rotation).mean()
 
     def _coordinates(
         self, translation: Float[Tensor, "*batch 3"], rotation: Float[Tensor, "*batch 3 3"]

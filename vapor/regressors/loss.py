@@ -62,21 +62,6 @@ class LossConfig:
         return max(1, int(self.alpha * self.num_samples + 1e-9))
 
 
-@dataclass(frozen=True)
-class Loss:
-    """The loss of one batch and its parts, scalars.
-
-    Attributes:
-        total: Minimised; carries the gradient.
-        kl: Mean KL divergence over the batch, nats; 0 where there is no latent Gaussian.
-        distance: Mean d_pose of the winners, the one pose, the best component, or of a flow's sample.
-    """
-
-    total: Tensor
-    kl: Tensor
-    distance: Tensor
-
-
 def pose_distance(
     translation: Float[Tensor, "*batch 3"],
     rotation: Float[Tensor, "*batch 3 3"],

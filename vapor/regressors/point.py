@@ -8,12 +8,13 @@ Sources: Bayesian PoseNet, Kendall and Cipolla, "Modelling uncertainty in deep l
 from __future__ import annotations
 
 import torch
+from jaxtyping import Float
 from scipy.special import ndtri
 from torch import Tensor, nn
 
 from vapor.regressors.base import Features, Images, Noise, PoseRegressor, PoseSamples, Positions, Rotations
 from vapor.regressors.layers import PoseMap, repeated
-from vapor.regressors.loss import Loss, LossConfig, pose_distance, pose_errors
+from vapor.regressors.loss import LossConfig, pose_errors
 from vapor.regressors.network_config import NetworkConfig
 from vapor.regressors.scene_box import SceneBox
 
@@ -37,7 +38,7 @@ class PointRegressor(PoseRegressor):
 
     def loss(
         self, images: Images, true_translation: Positions, true_rotation: Rotations, noise: Noise, config: LossConfig
-    ) -> Loss:
+    ) -> Float[Tensor, ""]:
         """Errors of position and rotation, weighted by scales that are learned: |e| exp(−s) + s (Kendall and Cipolla).
 
         With `relative`, the same of the pose of each image of the second half of the batch as seen from its partner in
@@ -58,8 +59,7 @@ class PointRegressor(PoseRegressor):
                 axes = true_rotation[:half]
                 errors = pose_errors(_relative(*poses, half, axes), _relative(*truth, half, axes), config, self.box)
             total = total + config.relative * weighted(errors)
-        distance = pose_distance(*poses, *truth, config, self.box).mean()
-        return Loss(total, torch.zeros_like(distance), distance.detach())
+        return total
 
 
 def _relative(translation: Tensor, rotation: Tensor, half: int, axes: Tensor) -> tuple[Tensor, Tensor]:

@@ -24,7 +24,7 @@ from torch.nn import functional
 
 from vapor.regressors.base import Features, Images, Noise, Positions, Rotations
 from vapor.regressors.layers import mean_of_cells, rodrigues
-from vapor.regressors.loss import Loss, LossConfig, pose_distance
+from vapor.regressors.loss import LossConfig
 from vapor.regressors.mixture import Components, MixtureDensity
 from vapor.regressors.network_config import NetworkConfig, stage_channels
 from vapor.regressors.scene_box import SceneBox
@@ -167,22 +167,16 @@ class RetrievalRegressor(MixtureDensity):
         true_translation: Positions,
         true_rotation: Rotations,
         hidden: Bool[Tensor, "b n"] | None,
-        config: LossConfig,
-    ) -> Loss:
+    ) -> Float[Tensor, ""]:
         """Negative log density of the true poses, nats; a twentieth of the density counts as even over the scene's box.
 
         So an image that nothing else shows, of which there is nothing to learn, cannot outweigh the rest. The images
-        in memory that are `hidden` are not recalled. The distance is that of the heaviest component.
+        in memory that are `hidden` are not recalled.
         """
         mixture = self.components(feature, hidden)
-        truth = true_translation[:, None], true_rotation[:, None]
         even = -float(np.log(self.box.extent.prod() * 8.0 * np.pi**2))
-        found = mixture.log_density(*truth)[:, 0] + math.log1p(-_EVEN)
-        total = -torch.logaddexp(found, found.new_tensor(even + math.log(_EVEN))).mean()
-        row, heaviest = torch.arange(len(feature)), mixture.log_weights.argmax(dim=1)
-        poses = mixture.translation[row, heaviest], mixture.rotation[row, heaviest]
-        distance = pose_distance(*poses, true_translation, true_rotation, config, self.box).mean().detach()
-        return Loss(total, torch.zeros_like(distance), distance)
+        found = mixture.log_density(true_translation[:, None], true_rotation[:, None])[:, 0] + math.log1p(-_EVEN)
+        return -torch.logaddexp(found, found.new_tensor(even + math.log(_EVEN))).mean()
 
     def memory_shapes(self) -> dict[str, tuple[int, ...]]:
         """Shapes of the memory of one image, by name."""
@@ -190,9 +184,9 @@ class RetrievalRegressor(MixtureDensity):
 
     def loss(
         self, images: Images, true_translation: Positions, true_rotation: Rotations, noise: Noise, config: LossConfig
-    ) -> Loss:
+    ) -> Float[Tensor, ""]:
         """The loss of images of which none is in memory."""
-        return self.loss_of_features(self.extract_features(images), true_translation, true_rotation, None, config)
+        return self.loss_of_features(self.extract_features(images), true_translation, true_rotation, None)
 
     def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> RetrievalRegressor:
         """Take the memory along to another device."""

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from filtering.se3 import Poses
 from vapor.regressors.base import Features, Images, Noise, PoseRegressor, PoseSamples, Positions, Rotations
 from vapor.regressors.layers import PoseMap, repeated
-from vapor.regressors.loss import Loss, LossConfig, pose_distance
+from vapor.regressors.loss import LossConfig, pose_distance
 from vapor.regressors.network_config import NetworkConfig
 from vapor.regressors.scene_box import SceneBox
 
@@ -53,7 +53,7 @@ class VariationalPoseRegressor(PoseRegressor):
 
     def loss(
         self, images: Images, true_translation: Positions, true_rotation: Rotations, noise: Noise, config: LossConfig
-    ) -> Loss:
+    ) -> Float[Tensor, ""]:
         """β KL + mean d_pose over the batch and, of each image, the ⌊αM⌋ samples nearest to its true pose.
 
         All M samples are mapped without gradient first, to find the winners; only the winners are mapped again with
@@ -68,8 +68,7 @@ class VariationalPoseRegressor(PoseRegressor):
             winning_noise = noise.gather(1, winners[..., None].expand(-1, -1, noise.shape[-1]))
         latent = sample_latent(mean, log_variance, winning_noise)
         nearest = pose_distance(*self.decode(latent), *truth, config, self.box).mean()
-        kl = kl_divergence(mean, log_variance).mean()
-        return Loss(config.beta * kl + nearest, kl.detach(), nearest.detach())
+        return config.beta * kl_divergence(mean, log_variance).mean() + nearest
 
     def samples_in_training(self, scheduled: int) -> int:
         """As many as scheduled: the winners are found among them."""
@@ -114,11 +113,10 @@ class DeterministicPoseRegressor(VariationalPoseRegressor):
 
     def loss(
         self, images: Images, true_translation: Positions, true_rotation: Rotations, noise: Noise, config: LossConfig
-    ) -> Loss:
+    ) -> Float[Tensor, ""]:
         """Mean d_pose over the batch."""
         mean, _ = self.encode(images)
-        distance = pose_distance(*self.decode(mean), true_translation, true_rotation, config, self.box).mean()
-        return Loss(distance, torch.zeros_like(distance), distance.detach())
+        return pose_distance(*self.decode(mean), true_translation, true_rotation, config, self.box).mean()
 
     def samples_in_training(self, scheduled: int) -> int:
         """One, as there are no others."""

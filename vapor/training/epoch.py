@@ -23,8 +23,8 @@ from vapor.training_data.training_set import TrainingError, TrainingSet
 
 _REMEMBERED = 32  # steps between two updates of the memory of all images, at least
 
-StepCallback = Callable[[int, float, float], None]
-"""Called after every step with the steps of this epoch that are done, the mean loss so far and the learning rate."""
+StepCallback = Callable[[int, float], None]
+"""Called after every step with the number of steps of this epoch and the mean loss so far."""
 _Order = Int64[np.ndarray, "steps b"]
 
 
@@ -73,7 +73,7 @@ def train_epoch(
                 f"loss is {value} in epoch {state.epoch + 1}, step {number + 1}, expected a finite number;"
                 f" a smaller learning rate than {config.learning_rate} may help"
             )
-        report(number + 1, total / (number + 1), rate)
+        report(number + 1, total / (number + 1))
     return total / steps
 
 
@@ -155,7 +155,7 @@ def _losses_of_features(
         kept = torch.rand(feature.shape, generator=generator, device=device) >= dropout
         feature, indices = (feature * kept / (1.0 - dropout))[own], batch[own]
         truth = features.translation[indices], features.rotation[indices]
-        yield state.learner("loss_of_features", feature, *truth, features.hidden(indices), config.loss)
+        yield state.learner("loss_of_features", feature, *truth, features.hidden(indices))
 
 
 def paired(

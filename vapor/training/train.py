@@ -9,8 +9,6 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, cast
 
-import numpy as np
-
 from sequences.frame import Frame
 from sequences.options import SequenceOptions
 from vapor.checkpoints.checkpoint import Checkpoint
@@ -45,13 +43,13 @@ def train(
     """Train on files and folders, and write the model.
 
     Args:
-        data: Anything that `posed_frames` reads; `PATH@START:STOP` takes those frames of it only.
+        data: Anything that `posed_frames` reads; `PATH@START:STOP` takes only those frames.
         output: The model file.
         config: Configuration.
-        validation: Held-out data, likewise, with no image of the former, of which those images count whose surroundings
-            training images show; without it passes over ground that others cover are held out, and no two of the data
-            may share images.
-        reading: Options of reading MCAP sequences, of both; None for all of them, as found.
+        validation: Held-out data, with no image of `data`. Images whose surroundings no training image shows are
+            ignored. Without it, passes over ground that others cover are held out, and no two entries of `data` may
+            share images.
+        reading: Options of reading MCAP sequences; None for the defaults.
         progress: Called after every image read and every step.
 
     Raises:
@@ -61,7 +59,7 @@ def train(
     """
     if validation or config.validation_fraction > 0:
         require_no_leakage(data, validation or None)
-    odometry = "optional" if config.calibrate else "unread"  # which nothing else asks for
+    odometry = "optional" if config.calibrate else "unread"  # only calibration needs it
     held_out = open_sequences(validation, reading, odometry)
     return train_on(open_sequences(data, reading, odometry), output, config, validation=held_out, progress=progress)
 
@@ -106,28 +104,17 @@ def train_on(
 
 
 def train_on_images(images: TrainingSet, names: Sequence[str], output: Path, config: TrainConfig) -> TrainResult:
-    """Train on images that were read before, for the configured frame size and crop; some are held out as configured.
+    """Train on images that were loaded before, for the configured frame size and crop; else as `train`.
 
-    `names` are those of the sequences, for the model file.
-
-    Raises:
-        TrainingError: unusable images or configuration, or a loss that is not finite.
-        CheckpointError: an interrupted training of another configuration.
+    `names` are the names of the sequences, for the model file.
     """
     initial = _checked_start(output, config)
-    (width, height), found = config.network.frame_size, images.images.shape[1:3]
-    central = config.augment.crop == "central"
-    if found != (height, width) if central else (found[0] < height or found[1] < width):
-        size, least = f"{found[1]} x {found[0]}", "" if central else "at least "
-        raise TrainingError(f"images are {size} pixels, expected {least}{width} x {height} as the network's frame")
-    if not 1 <= len(names) <= (count := len(np.unique(images.sequence))):
-        raise TrainingError(f"{len(names)} names of files and folders with {count} sequences, expected 1 to {count}")
     named = {"data": list(names), "validation_data": []}
     return _train(images, None, named, output, config, initial, lambda _: None)
 
 
 def _checked_start(output: Path, config: TrainConfig) -> Checkpoint | None:
-    """The model to start from, if any; raises errors that would otherwise come after hours of training."""
+    """The model to start from, if any; raises the errors that would otherwise come after hours of training."""
     if not output.parent.is_dir():
         raise TrainingError(f"{output}: cannot be written, expected the folder {output.parent} to exist")
     if output.is_dir():
@@ -183,11 +170,9 @@ def _train(
         model.load_state_dict(state.best or weights_of(trainer.kept))
         remember(model, features)
         landmarks, of_landmarks = find_landmarks(
-            split.everything, config.camera, lambda *where: report(Progress("landmarks", *where, best=trainer.best))
+            split.everything, config.camera, lambda *where: report(Progress("landmarks", *where))
         )
-        found = calibrate_and_check(
-            model, split, evaluated, config, landmarks, lambda *where: report(Progress(*where, best=trainer.best))
-        )
+        found = calibrate_and_check(model, split, evaluated, config, landmarks, lambda *where: report(Progress(*where)))
 
     if trainer.goes_on and state.epoch == state.epochs:
         for network in (state.network, state.average):

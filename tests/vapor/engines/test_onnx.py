@@ -310,7 +310,7 @@ def test_an_exported_model_runs_by_openvino_only(exported):
     found = engine.run(an_image(), noise(8))
     np.testing.assert_allclose(found.translation, expected.translation, atol=1e-4)
     assert engine.name == "openvino"
-    with pytest.raises(VaporTrackError, match="engine torch with an exported model, expected engine openvino"):
+    with pytest.raises(VaporTrackError, match="with engine torch and device auto, expected engine openvino"):
         start_engine(told, EngineConfig("torch"))
 
 

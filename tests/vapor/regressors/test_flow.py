@@ -153,7 +153,7 @@ def test_the_most_noise_on_targets_leaves_a_camera_in_its_box():
     noise = torch.randn(200, 1, 6, generator=torch.Generator().manual_seed(0)).clamp(-5.9, 5.9)
     noise[0, 0, :3] = 5.9
     images = torch.zeros(200, 3, 32, 32)
-    assert torch.isfinite(network.loss(images, *truth, noise, LossConfig()).total)
+    assert torch.isfinite(network.loss(images, *truth, noise, LossConfig()))
 
 
 def test_the_density_is_nothing_outside_the_box():
@@ -199,7 +199,7 @@ def test_a_posterior_of_two_places_is_learned_with_both_and_as_sharp_as_it_is():
     for step in range(300):
         optimizer.param_groups[0]["lr"] = 5e-3 * (1 - step / 300)
         noise = torch.randn(64, 1, 6, generator=generator)
-        loss = network.loss(torch.zeros(64, 3, 1, 1), *truth, noise, config).total
+        loss = network.loss(torch.zeros(64, 3, 1, 1), *truth, noise, config)
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()

@@ -139,7 +139,7 @@ def test_the_backbone_never_changes():
     optimizer = torch.optim.AdamW(network.parameters(), lr=0.1)
     truth = torch.from_numpy(poses.translation[:4]).float(), torch.from_numpy(poses.rotation[:4]).float()
     feature = network.extract_features(torch.randn(4, 3, 32, 32))
-    network.loss_of_features(feature, *truth, None, RETRIEVAL.loss).total.backward()
+    network.loss_of_features(feature, *truth, None).backward()
     weight = network.key.weight.detach().clone()
     optimizer.step()
     assert not torch.equal(network.key.weight, weight)
@@ -149,7 +149,7 @@ def test_the_backbone_never_changes():
 def test_features_far_beyond_those_of_the_training_give_gradients_that_are_numbers():
     network, features, poses = made()
     truth = torch.from_numpy(poses.translation[:4]).float(), torch.from_numpy(poses.rotation[:4]).float()
-    network.loss_of_features(1e4 * features[:4], *truth, None, RETRIEVAL.loss).total.backward()
+    network.loss_of_features(1e4 * features[:4], *truth, None).backward()
     gradients = [weight.grad for weight in network.parameters() if weight.grad is not None]
     assert gradients
     assert all(bool(torch.isfinite(gradient).all()) for gradient in gradients)

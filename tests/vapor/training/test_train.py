@@ -186,17 +186,15 @@ def test_the_average_follows_weights_and_statistics_and_copies_counts():
     assert int(average.backbone.bn1.num_batches_tracked) == 7
 
 
-def test_told_seconds_are_those_of_training_without_judging(tmp_path, monkeypatch):
+def test_stated_seconds_are_of_training_without_evaluation(tmp_path, monkeypatch):
     def slowly(*args, **kwargs):
         time.sleep(0.1)
         return validate(*args, **kwargs)
 
     monkeypatch.setattr("vapor.training.trainer.validate", slowly)
-    told, begin = [], time.perf_counter()
-    result = train_on_most(make_frames(24), tmp_path / "m.safetensors", TINY, progress=told.append)
-    seconds = [progress.seconds for progress in told if progress.stage == "training"]
-    assert seconds == sorted(seconds)
-    assert 0.0 < seconds[-1] <= result.seconds < time.perf_counter() - begin - 0.1 * (TINY.epochs or 0)
+    begin = time.perf_counter()
+    result = train_on_most(make_frames(24), tmp_path / "m.safetensors", TINY)
+    assert 0.0 < result.seconds < time.perf_counter() - begin - 0.1 * (TINY.epochs or 0)
 
 
 def test_efficientnet_starts_from_random_weights_where_asked(tmp_path, monkeypatch):
