@@ -29,10 +29,6 @@ _TYPES: Mapping[str, str] = MappingProxyType(
         **{f"U{bits}": f"uint{bits}" for bits in (8, 16, 32, 64)},
         "BF16": "bfloat16",
         "BOOL": "bool",
-        "C64": "complex64",
-        "F8_E4M3": "float8_e4m3fn",
-        "F8_E5M2": "float8_e5m2",
-        "F8_E8M0": "float8_e8m0fnu",
     }
 )
 """Names of types in safetensors -> in torch."""

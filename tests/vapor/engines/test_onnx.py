@@ -209,7 +209,7 @@ def test_settings_for_all_to_read_that_were_changed_alone_are_refused(small):
         (lambda c: c["network"].update(head="os.system"), "head is 'os.system', expected one of"),
         (lambda c: c.update(network=[]), "network configuration lacks"),
         (lambda c: c.update(camera={"width": "x"}), "camera configuration"),
-        (lambda c: c.update(training=7), "training is int"),
+        (lambda c: c.update(training=7), "training 7, expected an object"),
         (lambda c: c.update(calibration={"errors": 1e999}), "configuration"),
     ],
 )
