@@ -265,14 +265,13 @@ def test_of_alike_recordings_nothing_is_said():
     assert said_of_colours({"grey": colours(0, warmth=0), "warm": colours(1)}) == []
 
 
-def test_the_one_whose_colours_are_swapped_is_named():
-    (said,) = said_of_colours({name: colours(i, swapped=name == "b") for i, name in enumerate("abc")})
-    assert said.startswith("b: red and blue are swapped, beside the other recordings (BGR")
-
-
-def test_of_two_recordings_it_cannot_be_said_which():
-    (said,) = said_of_colours({"a": colours(0), "b": colours(1, swapped=True)})
-    assert said.startswith("a, b do not have the same colours: red and blue of some are swapped")
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [("abc", "b: red and blue are swapped, beside"), ("ab", "a, b: red and blue are swapped in some of these")],
+)
+def test_the_recording_whose_colours_are_swapped_is_named_and_of_two_both(names, said):
+    (notice,) = said_of_colours({name: colours(i, swapped=name == "b") for i, name in enumerate(names)})
+    assert notice.startswith(said)
 
 
 @pytest.mark.parametrize("count", [1, 3])
