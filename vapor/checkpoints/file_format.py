@@ -35,7 +35,7 @@ from vapor.regressors.network_config import NetworkConfig, make_regressor
 from vapor.regressors.ood_model import description_size
 from vapor.regressors.scene_box import SceneBox
 from vapor.storage import fetched, is_url, local_path
-from vapor.tensor_files import CheckpointError, StoredTensor, format_of, read_stored, write_safetensors
+from vapor.tensor_files import CheckpointError, Stored, StoredTensor, format_of, read_stored, write_safetensors
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -129,7 +129,7 @@ def save_checkpoint(path: Path, checkpoint: Checkpoint, *, store_float16: bool =
     """
     import torch
 
-    tensors = {name: torch.as_tensor(value) for name, value in description_arrays(checkpoint).items()}
+    tensors: dict[str, Stored] = {**description_arrays(checkpoint)}
     for name, value in checkpoint.state_dict.items():
         smaller = store_float16 and value.is_floating_point() and value.ndim > 1
         tensors[NETWORK + name] = value.to(torch.float16) if smaller else value

@@ -19,7 +19,7 @@ from vapor.checkpoints.file_format import (
     parse_stored_config,
 )
 from vapor.checkpoints.stored_tensors import MEMORY
-from vapor.tensor_files import CheckpointError, arrays_as_bytes, parse_stored
+from vapor.tensor_files import CheckpointError, as_bytes, parse_stored
 
 CONFIG, ARRAYS, GRAPH = "vapor-track config", "vapor-track arrays", "vapor-track graph_sha256"
 """Names of the metadata: settings as JSON, for all to read; all of the description, as a safetensors file in base64;
@@ -37,7 +37,7 @@ def add_description(path: Path, model: ModelDescription) -> None:
     if (poses := model.memory_poses) is not None:
         arrays |= {f"{MEMORY}rotation": poses.rotation, f"{MEMORY}translation": poses.translation}
     content = path.read_bytes()
-    encoded = base64.b64encode(arrays_as_bytes(arrays, metadata)).decode()
+    encoded = base64.b64encode(as_bytes(arrays, metadata)).decode()
     entries = {CONFIG: metadata["config"], ARRAYS: encoded, GRAPH: hashlib.sha256(content).hexdigest()}
     path.write_bytes(content + b"".join(_entry(name, text) for name, text in entries.items()))
 

@@ -24,7 +24,7 @@ from jaxtyping import Float32, UInt8
 from filtering.errors import VaporTrackError
 from vapor.checkpoints.checkpoint import Checkpoint, ModelDescription
 from vapor.engines.engine import EngineName, Precision, Seen
-from vapor.tensor_files import CheckpointError, read_stored, write_arrays
+from vapor.tensor_files import CheckpointError, read_stored, write_safetensors
 
 if TYPE_CHECKING:
     import openvino
@@ -240,7 +240,7 @@ class KeptNetwork:
         metadata = {"format": _FORMAT, "config": json.dumps(config)}
         try:
             self.file.parent.mkdir(parents=True, exist_ok=True)
-            write_arrays(self.file, {_BLOB: np.frombuffer(compiled.blob, np.uint8)}, metadata)
+            write_safetensors(self.file, {_BLOB: np.frombuffer(compiled.blob, np.uint8)}, metadata)
         except (OSError, VaporTrackError):
             return False
         return True

@@ -84,8 +84,6 @@ def save_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) ->
     tensors |= {f"best.{k}": v for k, v in state.best.items()}
     for index, moments in state.optimizer.state_dict()["state"].items():
         tensors |= {f"optimizer.{index}.{k}": v for k, v in moments.items()}
-    # Storage is shared where nothing was averaged; safetensors wants each tensor on its own.
-    tensors = {k: v.detach().cpu().clone(memory_format=torch.contiguous_format) for k, v in tensors.items()}
     config = {
         "identity": json.loads(json.dumps(identity)),
         "epochs": state.epochs,

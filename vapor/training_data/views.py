@@ -298,8 +298,9 @@ def said_of_views(name: str, checks: Sequence[ViewCheck]) -> list[str]:
         odometry = "" if check.by == "true poses" else ", or odometry has turns too large or too small"
         others = ", while true poses and images agree," if any(other.by != check.by for other in right) else ""
         notices.append(
-            f"{name}: by {check.by}{others} the images move as through a focal length {check.focal:.2f} times the stated"
-            f" one: the intrinsics are wrong (camera_info, intrinsics.json), images were scaled or cropped{odometry}"
+            f"{name}: by {check.by}{others} the images move as through a focal length {check.focal:.2f} times the"
+            " stated one: the intrinsics are wrong (camera_info, intrinsics.json), or images were scaled or cropped"
+            f"{odometry}"
         )
     return notices
 

@@ -112,7 +112,7 @@ MALFORMED = {
     "surplus tensor": (_with("network.extra", lambda t: torch.zeros(1)), "surplus tensor network.extra"),
     "wrong shape": (_with(HEAD, lambda t: torch.zeros(4, 15)), r"shape \(4, 15\) .* expected shape \(4, 16\)"),
     "tensor with NaN": (_with(HEAD, lambda t: torch.full((4, 16), torch.nan)), f"{HEAD} has values that are"),
-    "no training poses": (_with("prior_poses.translation", lambda t: torch.zeros(0, 3)), r"\(0, 3\), expected no empty"),
+    "no training poses": (_with("prior_poses.translation", lambda t: torch.zeros(0, 3)), "expected no empty"),
     "fewer rotations": (_with("prior_poses.rotation", lambda t: torch.zeros(29, 3, 3)), r"expected \(n, 3, 3\)"),
     "missing setting": (_lacking("network", "latent_dim"), "latent_dim"),
     "surplus setting": (_set("calibration", x=1), r"surplus \['x'\]"),

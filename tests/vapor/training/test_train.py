@@ -153,12 +153,6 @@ def test_the_latents_first_variance_is_the_configured_one_and_nothing_else_diffe
     assert all(torch.allclose(other.state_dict[k], v, atol=1e-8) for k, v in plain.state_dict.items() if k != name)
 
 
-@pytest.mark.parametrize("value", [-10.5, 5.5, float("nan")])
-def test_a_first_variance_beyond_what_the_network_keeps_is_refused(value):
-    with pytest.raises(TrainingError, match=r"initial_log_variance is .*, expected -10 to 5"):
-        replace(TINY, initial_log_variance=value)
-
-
 def test_a_model_of_another_shape_or_two_starts_are_refused_before_anything_is_read(tmp_path):
     first = tmp_path / "first.safetensors"
     train_on({"a": make_frames(24)}, first, replace(TINY, epochs=1))
@@ -224,9 +218,3 @@ def test_every_matrix_decays_and_nothing_else_does(head):
     for name, parameter in network.named_parameters():
         assert decays.pop(id(parameter)) == (0.1 if parameter.ndim > 1 else 0.0), name
     assert not decays
-
-
-@pytest.mark.parametrize("value", [-0.1, float("nan"), float("inf")])
-def test_a_weight_decay_out_of_range_is_refused(value):
-    with pytest.raises(TrainingError, match=r"training: weight_decay is .*, expected 0.0 to"):
-        replace(TINY, weight_decay=value)
