@@ -275,7 +275,7 @@ def test_landmarks_come_back_as_they_were(tmp_path):
         (_with("landmarks.begins", lambda t: t.flip(0)), "landmarks.begins does not split"),
         (_with("landmarks.points", lambda t: t * float("nan")), "landmarks.points has values that are not finite"),
         (_with("landmarks.rotation", lambda t: 2.0 * t), "landmarks.rotation has 4 matrices that are not rotations"),
-        (_with("landmarks.descriptors", lambda t: t[:, :10].contiguous()), "landmarks.descriptors has shape"),
+        (_with("landmarks.descriptors", lambda t: t[:, :10].contiguous()), "landmarks.axes has shape"),
         (
             _with("landmarks.descriptors", lambda t: t.float()),
             "landmarks.descriptors has .* type float32, expected .* int8",
