@@ -3,7 +3,6 @@
 import json
 import os
 import time
-from dataclasses import replace
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -16,7 +15,7 @@ from onnx import TensorProto, helper
 
 from filtering.errors import VaporTrackError
 from tests.helpers.checkpoints import an_image, any_checkpoint, noise
-from tests.helpers.exported import GRAPH_BYTES, field, put_together, take_apart, with_config, with_digest, write_export
+from tests.helpers.exported import GRAPH_BYTES, field, put_together, take_apart, with_config, write_export
 from tests.helpers.full import some
 from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.engines import onnx_export
@@ -184,17 +183,6 @@ def test_another_graph_or_version_of_its_operators_is_refused(small):
     assert "damaged: its graph does not match its digest" in refused(small)
 
 
-def test_a_length_of_more_than_ten_bytes_is_refused(small):
-    graph, entries = take_apart(small.read_bytes())
-    for zeros, fits in ((8, True), (9, False)):
-        padded = graph.replace(b"\x3a\x05", b"\x3a\x85" + b"\x80" * zeros + b"\x00")
-        small.write_bytes(with_digest(padded, entries))
-        if fits:
-            describe_onnx(small)
-        else:
-            refused(small)
-
-
 def test_settings_for_all_to_read_that_were_changed_alone_are_refused(small):
     graph, entries = take_apart(small.read_bytes())
     name, config = entries[0]
@@ -207,8 +195,6 @@ def test_settings_for_all_to_read_that_were_changed_alone_are_refused(small):
     [
         (lambda c: c["network"].update(image_width=10**9), "image_width 1000000000"),
         (lambda c: c["network"].update(head="os.system"), "head is 'os.system', expected one of"),
-        (lambda c: c.update(network=[]), "network configuration lacks"),
-        (lambda c: c.update(camera={"width": "x"}), "camera configuration"),
         (lambda c: c.update(training=7), "training 7, expected an object"),
         (lambda c: c.update(calibration={"errors": 1e999}), "configuration"),
     ],
@@ -220,12 +206,6 @@ def test_a_configuration_of_wrong_values_is_refused_though_checksums_fit(changed
     changed(config)
     small.write_bytes(with_config(content, json.dumps(config)))
     assert said in refused(small)
-
-
-@pytest.mark.parametrize("config", ["", "{", "[" * 100_000, "null", '{"network": NaN}', "9" * 5000, '"\\ud800"'])
-def test_a_configuration_that_is_no_object_is_refused(config, small):
-    small.write_bytes(with_config(small.read_bytes(), config))
-    assert "configuration" in refused(small)
 
 
 def graph_of(image: list, noise: list, outputs: tuple[str, ...], operator: str = "Identity") -> bytes:
@@ -320,12 +300,3 @@ def test_what_has_no_ood_model_gives_poses_alone(tmp_path):
     session = onnxruntime.InferenceSession(str(tmp_path / "m.onnx"))
     assert [each.name for each in session.get_outputs()] == ["translation", "rotation"]
     assert describe_onnx(tmp_path / "m.onnx").ood_model is None
-
-
-@pytest.mark.usefixtures("written_before")
-def test_a_network_of_numbers_that_are_none_is_not_exported(tmp_path):
-    good = any_checkpoint()
-    state = {n: torch.full_like(v, torch.nan) if v.is_floating_point() else v for n, v in good.state_dict.items()}
-    bad: Checkpoint = replace(good, state_dict=state)
-    with pytest.raises(VaporTrackError, match="gives poses up to nan m"):
-        export_onnx(bad, tmp_path / "m.onnx")

@@ -150,28 +150,6 @@ def test_relative_poses_of_a_pair_do_not_depend_on_the_frame_of_the_map():
     assert float((paired - plain).detach()) == pytest.approx(expected, rel=1e-4)
 
 
-def test_in_units_of_the_box_relative_positions_are_scaled_along_the_axes_of_the_map():
-    network = network_with("point")
-    network.box = SceneBox((0.0, 0.0, 0.0), (8.0, 8.0, 2.0))
-    images, truth, noise = torch.cat([IMAGES, IMAGES.flip(0)]), truth_of(6), torch.zeros(6, 1, 0)
-    scale = torch.tensor([1.0, 1.0, 4.0])
-    paired, plain = (
-        network.loss(images, *truth, noise, LossConfig(relative=relative, position_unit="box"))
-        for relative in (1.0, 0.0)
-    )
-    with torch.no_grad():
-        translation, rotation = (part[:, 0] for part in network(images, noise))
-    absolute = ((translation - truth[0]) * scale).norm(dim=-1).mean()
-    chord = (rotation - truth[1]).flatten(1).norm(dim=-1).mean()
-    torch.testing.assert_close(plain.detach(), absolute + chord * np.exp(3.0) - 3.0, rtol=1e-4, atol=0)
-    turned = truth[1][:3] @ rotation[:3].mT  # from the map as the first image is thought to see it to the map
-    shift = (turned @ (translation[3:] - translation[:3])[..., None])[..., 0]
-    relative = ((shift - (truth[0][3:] - truth[0][:3])) * scale).norm(dim=-1).mean()
-    chord = (rotation[:3].mT @ rotation[3:] - truth[1][:3].mT @ truth[1][3:]).flatten(1).norm(dim=-1).mean()
-    expected = relative + chord * np.exp(3.0) - 3.0
-    torch.testing.assert_close((paired - plain).detach(), expected, rtol=1e-4, atol=0)
-
-
 def test_pairs_are_of_one_sequence_and_near_each_other():
     sequence = np.repeat([0, 1, 2], [30, 30, 1])
     rng = np.random.default_rng(0)
@@ -223,12 +201,6 @@ def test_relative_poses_are_asked_of_point_regressors_only():
     mapnet = METHODS["mapnet"](TINY)
     with pytest.raises(VaporTrackError, match="expected head point or dropout"):
         replace(mapnet, network=replace(TINY.network, head="variational"))
-
-
-def test_no_two_methods_are_the_same_whatever_the_configuration_says():
-    config = replace(TINY, network=replace(TINY.network, head="point"), loss=replace(TINY.loss, relative=1.0))
-    made = [method(config) for method in METHODS.values()]
-    assert all(a != b for k, a in enumerate(made) for b in made[:k])
 
 
 @pytest.mark.parametrize("head", HEADS)

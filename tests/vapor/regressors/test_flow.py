@@ -7,8 +7,6 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from filtering.localizer import ParticleLocalizer
-from filtering.motion import Odometry
 from filtering.se3 import Poses
 from tests.helpers.full import full
 from tests.helpers.tiny_training import STILL, TINY, make_frames
@@ -17,7 +15,6 @@ from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
 from vapor.evaluation.posterior import posterior_metrics
 from vapor.evaluation.validation import LOG_FLOOR, exact_log_density
-from vapor.observation import VaporObservationModel
 from vapor.regressors.base import DensityRegressor
 from vapor.regressors.flow import FlowRegressor, Spline
 from vapor.regressors.loss import LossConfig
@@ -214,19 +211,6 @@ def test_a_posterior_of_two_places_is_learned_with_both_and_as_sharp_as_it_is():
 
 
 # --- use -------------------------------------------------------------------------------------------
-
-
-def test_the_filter_localizes_with_the_places_among_the_samples():
-    model = VaporObservationModel(checkpoint_of(network_with("flow")), num_samples=300, device="cpu")
-    posterior = model.observe(IMAGE, rng=np.random.default_rng(0))
-    assert len(posterior.samples) == 300
-    assert 0.0 < posterior.weights.sum() <= 1.0
-    localizer = ParticleLocalizer(model, rng=np.random.default_rng(0))
-    moved = Odometry(Poses.exp(np.array([0.6, 0.0, 0.0, 0.0, 0.0, 0.1])), 1e-3 * np.eye(6), 0.1)  # soon out of the box
-    for step in range(6):
-        estimate = localizer.step(IMAGE, moved if step else None)
-        assert estimate.particles.is_finite().all()
-        assert np.isfinite(estimate.log_weights).all()
 
 
 def test_a_model_file_keeps_samples_densities_and_axes(tmp_path):

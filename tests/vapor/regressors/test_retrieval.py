@@ -13,7 +13,6 @@ from tests.helpers.checks import no_checks
 from tests.helpers.full import full
 from tests.helpers.tiny_training import STILL, TINY, Interrupted, make_frames, pose
 from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
-from vapor.evaluation.validation import predict
 from vapor.observation import VaporObservationModel
 from vapor.regressors.network_config import NetworkConfig
 from vapor.regressors.retrieval import RetrievalRegressor
@@ -22,7 +21,7 @@ from vapor.tensor_files import CheckpointError, read_safetensors, write_safetens
 from vapor.training import memory as training_memory
 from vapor.training.augment import AugmentConfig
 from vapor.training.holding_out import hold_out
-from vapor.training.memory import VARIANTS, extract_training_features, features_of
+from vapor.training.memory import VARIANTS, extract_training_features
 from vapor.training.presets import METHODS, PRESETS
 from vapor.training.state import start
 from vapor.training.train import train_on
@@ -104,12 +103,6 @@ def test_what_is_hidden_has_no_weight():
     apart = (mixture.translation - torch.from_numpy(poses.translation[:5]).float()[:, None]).norm(dim=-1)
     assert mixture.log_weights[apart < 1e-4].exp().sum() < 1e-6
     torch.testing.assert_close(mixture.log_weights.exp().sum(dim=1), torch.ones(5))
-
-
-@torch.no_grad()
-def test_all_images_are_looked_at_where_there_are_fewer_than_components():
-    network, features, _ = made(4)
-    assert network.components(features[:2]).log_weights.shape == (2, 4)
 
 
 def test_without_a_memory_the_network_says_so():
@@ -209,15 +202,6 @@ def test_images_are_varied_in_a_few_ways_each_found_once(monkeypatch):
     assert torch.equal(again, second)
     monkeypatch.setattr(training_memory, "_VARIANTS_BYTES", 2 * seen.features.nbytes + 10)
     assert seen.num_variants == 2
-
-
-def test_what_is_known_of_images_gives_the_samples_that_looking_at_them_gives():
-    network, _, _ = made()
-    images = load_training_set({"a": walk(9, begin=0, seed=1)}, (36, 36))
-    looked = list(predict(network, images, 20, 0))
-    known = list(predict(network, images, 20, 0, features_of(network, images)))
-    for one, other in zip(looked, known, strict=True):
-        np.testing.assert_array_equal(one.as_matrix(), other.as_matrix())
 
 
 # --- training --------------------------------------------------------------------------------------

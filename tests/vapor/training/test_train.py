@@ -59,23 +59,6 @@ def test_an_image_of_two_places_gives_a_posterior_with_both(tmp_path):
 # --- precision ------------------------------------------------------------------------------------
 
 
-@pytest.mark.usefixtures("unchecked")
-def test_only_the_loss_is_computed_in_bfloat16(tmp_path, monkeypatch):
-    """Its gradients, the optimiser's step and the average of the weights are not: autocast ends before them."""
-    seen = []
-
-    def watched(*arguments):
-        seen.append(torch.is_autocast_enabled("cpu"))
-        update_average(*arguments)
-
-    monkeypatch.setattr("vapor.training.epoch.uses_bfloat16", lambda config, device: True)
-    monkeypatch.setattr("vapor.training.epoch.update_average", watched)
-    config = replace(TINY, augment=STILL, epochs=1, batch_size=6, validation_fraction=0.0, resume=False)
-    train_on({"walk": make_frames(12, seed=5)}, tmp_path / "m.safetensors", config)
-    assert seen
-    assert not any(seen)
-
-
 # --- resume ---------------------------------------------------------------------------------------
 
 
@@ -115,17 +98,6 @@ def test_a_model_without_a_shortcut_goes_on_with_one_and_one_with_it_does_not_go
     if head == "variational":
         with pytest.raises(TrainingError, match=r"has shortcut True \(expected False\)"):
             train_on({"a": make_frames(24)}, first, replace(still, initial_model=last, network=plain))
-
-
-@full
-def test_images_read_before_train_the_same_network(tmp_path):
-    frames, config = {"a": make_frames(24)}, replace(TINY, epochs=1)
-    read = train_on(frames, tmp_path / "read.safetensors", config).checkpoint
-    images = load_training_set(frames, config.network.frame_size)
-    for name in ("once", "twice"):
-        again = train_on_images(images, ["a"], tmp_path / f"{name}.safetensors", config).checkpoint
-        assert again.training == read.training
-        assert all(torch.equal(again.state_dict[k], value) for k, value in read.state_dict.items())
 
 
 def test_a_selection_trains_the_network_that_its_images_alone_train(tmp_path):
@@ -198,16 +170,6 @@ def test_efficientnet_starts_from_random_weights_where_asked(tmp_path, monkeypat
         train_on_most(make_frames(24), tmp_path / "m.safetensors", lite0)
     result = train_on_most(make_frames(24), tmp_path / "m.safetensors", replace(lite0, pretrained=False))
     assert len(result.history) == 1
-
-
-def test_a_larger_decay_shrinks_the_weights(tmp_path):
-    still = replace(TINY, ema_decay=0.0, resume=False, learning_rate=1e-3, validation_fraction=0.0, calibrate=False)
-    norms = []
-    for decay in (0.0, 300.0):
-        config = replace(still, weight_decay=decay)
-        trained = train_on({"a": make_frames(24)}, tmp_path / f"{decay}.safetensors", config).checkpoint
-        norms.append(sum(float(v.square().sum()) for v in trained.state_dict.values() if v.ndim > 1))
-    assert norms[1] < 0.5 * norms[0]
 
 
 @pytest.mark.parametrize("head", ["variational", "point", "mixture"])
