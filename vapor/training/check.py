@@ -1,4 +1,4 @@
-"""The check of a new model on its held-out passes: the filter beside the single image, with errors that suit it."""
+"""The check of a new model on its held-out passes: the filter beside the single image; larger errors where needed."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ METHODS = ("single_image", "kalman", "filter", "smoothed")
 LEAST_PASS = 20  # images
 _MOST_IMAGES = 600
 _LEAST_EVALUATED = 50
-_WIDER = (2.0, 4.0, 8.0, 16.0)  # variances that are tried
+_WIDER = (2.0, 4.0, 8.0, 16.0)  # factors of the variances that are tried
 
 
 def check(
@@ -52,18 +52,18 @@ def check(
     """Run the filter over held-out passes, and choose errors with which it is no worse than the single image.
 
     Args:
-        network: With its final weights.
-        images: Recordings, n images, of which some are held out.
-        held_out: Those, (n,).
+        network: The network with its final weights.
+        images: n images of recordings that have held-out images.
+        held_out: Mask of the held-out images, (n,).
         result: Calibration of the network.
-        ood_model: Of the network.
+        ood_model: OOD model of the network, if any.
         scene: Poses that outline the scene.
-        landmarks: Of the images that are not held out; None where there are none.
-        seed: Of latent noise and the filter's draws.
+        landmarks: Landmarks of the training images, if any.
+        seed: Seed of latent noise and of the filter's draws.
         advance: Called with the number of images done and of all.
 
     Returns:
-        The check, None without `LEAST_PASS` images in a row with odometry, and the calibration to keep.
+        The check, or None without `LEAST_PASS` consecutive images with odometry; and the calibration to keep.
     """
     fitted = result.calibration
     runs = list(_runs(images, held_out))
@@ -135,7 +135,7 @@ def _inflated(errors: MeasurementNoise, factor: float) -> MeasurementNoise:
 def _runs(
     images: TrainingSet, held_out: Bool[np.ndarray, " n"]
 ) -> Iterator[tuple[Int64[np.ndarray, " k"], tuple[Odometry | None, ...]]]:
-    """Held-out images that odometry leads through, and the motion to each from the one before."""
+    """Runs of held-out images that odometry connects, and the motion to each image from the previous one."""
     rows: list[int] = []
     motions: list[Odometry | None] = []
     for row in np.flatnonzero(held_out).tolist():
@@ -151,7 +151,7 @@ def _runs(
 
 
 def _between(images: TrainingSet, first: int, last: int) -> Odometry | None:
-    """Motion from one image to a later one, through those between; None where it is not known."""
+    """Motion from one image to a later one; None where odometry is missing in between."""
     found: Odometry | None = None
     for step in images.odometry[first + 1 : last + 1]:
         if step is None:

@@ -31,12 +31,12 @@ _Order = Int64[np.ndarray, "steps b"]
 def train_epoch(
     state: TrainingState, training: TrainingSet, config: TrainConfig, report: StepCallback, *, since: int = 0
 ) -> float:
-    """One pass over the images in random order, an incomplete last batch left out; returns the mean loss.
+    """One pass over the images in random order, without an incomplete last batch; returns the mean loss.
 
     Args:
-        state: Between two epochs; its weights and its average learn, its count of epochs is left as it is.
+        state: State between two epochs. Weights and average change, the count of epochs does not.
         training: The images.
-        config: How, with its number of epochs.
+        config: The configuration, with its number of epochs.
         report: Called after every step.
         since: The epoch in which the schedule of learning rates began.
 
@@ -78,7 +78,7 @@ def train_epoch(
 
 
 def features_for(state: TrainingState, images: TrainingSet) -> TrainingFeatures | None:
-    """Features of images, extracted once, for a regressor that recalls images; None for any other."""
+    """Features of images, extracted once, for a regressor that recalls images; None for other regressors."""
     network, average = state.network.recalling, state.average.recalling
     if network is None or average is None:
         return None
@@ -97,10 +97,7 @@ def _losses_of_images(
     rng: np.random.Generator,
     generator: torch.Generator,
 ) -> Iterator[Tensor]:
-    """The loss of this process' part of every batch, of random crops in random colours and light.
-
-    Each batch is cropped while the network learns from the one before.
-    """
+    """Losses of this process' part of each batch of crops, which is prepared while the previous one is learned from."""
     network, images, pairs = state.network, training.images, config.loss.relative > 0.0
     device = network.pixel_mean.device
     translation = torch.from_numpy(training.poses.translation).float().to(device)
@@ -139,10 +136,7 @@ def _losses_of_features(
     order: _Order,
     generator: torch.Generator,
 ) -> Iterator[Tensor]:
-    """The loss of this process' part of every batch, of features some of whose numbers are left out.
-
-    The memory follows the weights in intervals.
-    """
+    """Losses of this process' part of each batch of features after dropout; the memory is renewed at intervals."""
     device, dropout = network.pixel_mean.device, config.network.dropout
     varied = features.varied(network, state.epoch, config, bfloat16=uses_bfloat16(config, device))
     count = len(features.images)
@@ -161,7 +155,7 @@ def _losses_of_features(
 def paired(
     indices: Int64[np.ndarray, " b"], sequence: Int64[np.ndarray, " n"], gap: int, *, rng: np.random.Generator
 ) -> Int64[np.ndarray, " b"]:
-    """The first half of a batch, then for each of it another image of its sequence, at most `gap` images away."""
+    """The first half of a batch, then a partner for each: an image of its sequence, at most `gap` images away."""
     first = indices[: len(indices) // 2]
 
     def missing(there: Int64[np.ndarray, " h"]) -> np.ndarray:
@@ -176,8 +170,7 @@ def paired(
 def uses_bfloat16(config: TrainConfig, device: torch.device) -> bool:
     """Whether the encoder is trained in bfloat16.
 
-    With "auto" where that is faster than float32: without instructions for it, it is many times slower, and on a CPU
-    separable convolutions do not gain by it where they learn.
+    "auto" takes it where it is faster: with instructions for it, except for separable convolutions that learn on a CPU.
     """
     if config.precision != "auto":
         return config.precision == "bfloat16"
@@ -193,7 +186,7 @@ def uses_bfloat16(config: TrainConfig, device: torch.device) -> bool:
 def update_average(average: nn.Module, network: nn.Module, decay: float, step: int) -> None:
     """Move the average towards the weights and BatchNorm statistics; faster in the first steps of a training.
 
-    `decay` of the average is left after a step; 0 leaves the average as it is.
+    `decay` is the weight of the old average; with 0 there is no average, and nothing is done.
     """
     if not decay:
         return

@@ -44,21 +44,19 @@ _AROUND = 1.5  # depths or radians: key images further away are ignored
 
 @dataclass(frozen=True)
 class FoundLandmarks:
-    """A map of landmarks of the images that are learned from.
+    """A map of landmarks of training images.
 
     Attributes:
         built: The map.
         verified: Errors of the poses that it verifies.
-        verification: Where it can verify poses, as far as that is known yet.
-        images: The images that it is of.
-        notes: Findings, in sentences.
+        verification: The reach of the map, and default weights.
+        images: Images of the map.
     """
 
     built: BuiltMap
     verified: VerifiedErrors
     verification: Verification
     images: TrainingSet
-    notes: tuple[str, ...]
 
     def without(self, trained: TrainingSet) -> tuple[LandmarkLocalizer, Poses]:
         """A localizer by the images that a network was trained on, and the poses of the key images it lacks."""
@@ -73,7 +71,7 @@ class FoundLandmarks:
 def find_landmarks(
     images: TrainingSet, choice: CameraChoice, advance: Advance = lambda done, total: None
 ) -> tuple[FoundLandmarks | None, tuple[str, ...]]:
-    """Landmarks of training images with views, and findings in sentences; None where images do not show any.
+    """Landmarks of training images with views, or None, and findings in sentences.
 
     `advance` is called with the number of images done and of all, stage by stage.
     """
@@ -114,7 +112,7 @@ def find_landmarks(
         f"; they reach views that differ by {verification.reach * built.material.depth_m:.1f} m, and beyond"
         f" {verification.elsewhere:.0%} are taken for another place"
     )
-    return FoundLandmarks(built, verified, verification, images, (*notes, found)), (*notes, found)
+    return FoundLandmarks(built, verified, verification, images), (*notes, found)
 
 
 def _best_map(
@@ -141,14 +139,14 @@ def _best_map(
 
 @dataclass(frozen=True)
 class HeldOutLandmarks:
-    """Verification of held-out images by the landmarks that trained images show.
+    """Verification of held-out images by the landmarks that training images show.
 
     Attributes:
-        localizer: By the trained images.
-        hidden: Poses of the key images that it lacks, (h,).
-        verification: Meaning of a verified place.
-        none_right: Probability that none of the verified places of an image is the right one.
-        outlier_lengths: Lengths of their errors over which verified places are mistaken for others.
+        localizer: Localizer by the training images.
+        hidden: Poses of the key images that the localizer lacks, (h,).
+        verification: Weights of verified places.
+        none_right: Probability that no verified place of an image is right.
+        outlier_lengths: Correlation length of mistakes about verified places, in lengths of their errors.
     """
 
     localizer: LandmarkLocalizer
@@ -159,7 +157,7 @@ class HeldOutLandmarks:
 
     @cached_property
     def mapped(self) -> MappedViews:
-        """Region in which it can verify places."""
+        """Region in which the localizer can verify places."""
         return self.localizer.mapped(self.verification.reach, self.verification.elsewhere)
 
     @staticmethod
@@ -171,7 +169,7 @@ class HeldOutLandmarks:
         ood_model: OodModel | None,
         config: TrainConfig,
     ) -> HeldOutLandmarks:
-        """Find on the held-out images how reliable a verified place is."""
+        """Fit the reliability of verified places on the held-out images."""
         localizer, hidden = landmarks.without(split.training)
         held = HeldOutLandmarks(localizer, hidden, landmarks.verification)
         rows = np.flatnonzero(split.held_out_mask)
@@ -202,10 +200,10 @@ class HeldOutLandmarks:
         return replace(held, verification=verification, none_right=wrong, outlier_lengths=mistaken)
 
     def found(self, images: TrainingSet, row: int, proposed: Poses | None = None) -> list[VerifiedPose]:
-        """The poses that landmarks verify of an image, which is as new to the map wherever it looks alike.
+        """Verified poses of an image, as if it were new to the map everywhere.
 
-        Key images are hidden around the true pose. So that places which look alike have no advantage, the like are
-        ignored there: in use, an image is new everywhere.
+        Key images are hidden around the true pose. So that similar places have no advantage, their corresponding key
+        images are ignored, too.
         """
         if not len(images.views):
             return []
@@ -218,7 +216,7 @@ class HeldOutLandmarks:
         return localizer.ignoring(ignored).localize(features, proposed) if ignored.any() else found
 
     def _counterparts(self, found: Poses, truth: Poses) -> Bool[np.ndarray, " n"]:
-        """Key images around a pose that correspond to hidden ones around the true pose; none if that is near."""
+        """Key images around a pose that correspond to hidden ones around the true pose, unless both poses are near."""
         localizer, depth_m = self.localizer, self.localizer.landmarks.depth_m
         ignored = np.zeros(len(localizer.landmarks.poses), bool)
         metres, radians = map(float, found.distance(truth))

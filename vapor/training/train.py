@@ -13,7 +13,6 @@ from sequences.frame import Frame
 from sequences.options import SequenceOptions
 from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.checkpoints.file_format import save_checkpoint
-from vapor.checkpoints.scene_scale import spaced
 from vapor.regressors.scene_box import SceneBox
 from vapor.training.config import TrainConfig
 from vapor.training.epoch import features_for
@@ -141,16 +140,10 @@ def _train(
     training = split.training
     box = SceneBox.around(split.everything.poses)
     state = start(config, box.union(initial.box) if initial else box, training.poses, initial)
-    require_shares(min(config.batch_size, len(split.training)), pairs=config.loss.relative > 0.0)
-    evaluated = split.held_out.select(spaced(len(split.held_out), config.validation_images))
-    poses = zlib.crc32(split.training.poses.as_matrix().tobytes())
-    identity = {
-        **names,
-        "images": len(split.training),
-        "poses": poses,
-        "held_out": len(evaluated),
-        **_settings(config),
-    }
+    require_shares(min(config.batch_size, len(training)), pairs=config.loss.relative > 0.0)
+    evaluated = split.evaluated(config.validation_images)
+    poses = zlib.crc32(training.poses.as_matrix().tobytes())
+    identity = {**names, "images": len(training), "poses": poses, "held_out": len(evaluated), **_settings(config)}
     saving = Saving(state_path(output), identity)
     if config.resume and is_first():
         saving.resume(state)
@@ -172,7 +165,7 @@ def _train(
         landmarks, of_landmarks = find_landmarks(
             split.everything, config.camera, lambda *where: report(Progress("landmarks", *where))
         )
-        found = calibrate_and_check(model, split, evaluated, config, landmarks, lambda *where: report(Progress(*where)))
+        found = calibrate_and_check(model, split, config, landmarks, lambda *where: report(Progress(*where)))
 
     if trainer.goes_on and state.epoch == state.epochs:
         for network in (state.network, state.average):
@@ -200,7 +193,7 @@ def _train(
         "holding_out": list(split.notes),
         "landmarks": list(of_landmarks),
     }
-    checkpoint = model_checkpoint(model, learned, split, evaluated, found, config, provenance)
+    checkpoint = model_checkpoint(model, learned, split, found, config, provenance)
     save_checkpoint(output, checkpoint, store_float16=True)
     saving.remove()
     apart = split.held_out.images is not split.training.images
