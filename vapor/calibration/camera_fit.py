@@ -24,12 +24,12 @@ class CameraFit:
 
     Attributes:
         stated: The stated or guessed camera, at the size of the features.
-        known: Whether it is stated.
+        known: Whether the camera is stated.
         found: The camera of best fit, at that size.
-        focal_std: Standard deviation of the logarithm of its focal length, from pixels alone.
-        by_stated: The map by the stated camera; None where there is none, or none was asked for.
-        by_found: Likewise by the found one.
-        errors_m: Median errors of localized images by either map, infinite where most have no right pose; None where
+        focal_std: Standard deviation of the logarithm of the found focal length, from pixels alone.
+        by_stated: The map by the stated camera, if it was built.
+        by_found: The map by the found camera, if it could be built.
+        errors_m: Median errors of localized images by both maps, infinite where most have no right pose; None where
             there is only one map.
     """
 
@@ -66,11 +66,11 @@ class CameraFit:
         words += f", {found_px:.0f} px and distortion k1 {self.found.k1:.3f}, k2 {self.found.k2:.3f} {fit}"
         if self.errors_m is None or self.by_stated is None:
             return words
-        words += f": {self.by_found.agreeing:.0%} instead of {self.by_stated.agreeing:.0%} of matches agree"
-        if not np.isfinite(self.errors_m).any():
-            return words
         stated, found = (f"{100 * each:.1f} cm" if np.isfinite(each) else "hardly at all" for each in self.errors_m)
-        return f"{words}, and images are localized within {found} instead of {stated}"
+        return (
+            f"{words}: {self.by_found.agreeing:.0%} instead of {self.by_stated.agreeing:.0%} of matches agree, and"
+            f" images are localized within {found} instead of {stated}"
+        )
 
 
 def fit_camera(
@@ -85,8 +85,8 @@ def fit_camera(
 ) -> CameraFit | None:
     """The camera of best fit; None where too few points are seen from two sides.
 
-    Where one is stated (`known`), the maps of both are compared by localized images, unless `compare` is false. Other
-    arguments are those of `leave_out`.
+    Where a camera is stated (`known`), the maps by both cameras are compared by localized images, if `compare`. For the
+    other arguments see `leave_out`.
     """
     found = camera_found(material, stated)
     if found is None:

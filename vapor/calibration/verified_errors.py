@@ -28,15 +28,15 @@ from vapor.landmarks.localize import LandmarkLocalizer, VerifiedPose
 from vapor.landmarks.tracks import view_change
 
 _FOLDS = 5
-_STRETCHES = 16.0, 8.0, 4.0, 2.0, 1.0  # change of the view over a hidden part: 1 is half a depth, or 25°
-_END = 0.25  # of a stretch, at either end: only images in between are localized
-_ENOUGH = 0.5  # of the images verified where they are: else less is hidden
-_IMAGES, _TRIED = 200, 40  # that are localized, and by which it is found how much can be hidden
+_STRETCHES = 16.0, 8.0, 4.0, 2.0, 1.0  # lengths of hidden stretches that are tried: 1 is half a depth, or 25°
+_END = 0.25  # fraction of a stretch at either end whose images are not localized
+_ENOUGH = 0.5  # least fraction of verified images: else shorter stretches are hidden
+_IMAGES, _TRIED = 200, 40  # localized images, and images by which the length of stretches is chosen
 _DEPTH_RAD = 2.0 * np.deg2rad(25.0)  # a turn that changes the view as much as a depth moved
-_LENGTHS, _USUAL_LENGTH = np.geomspace(0.05, 3.0, 13).tolist(), 0.4  # over which errors last, in depths
+_LENGTHS, _USUAL_LENGTH = np.geomspace(0.05, 3.0, 13).tolist(), 0.4  # correlation lengths of errors, in depths
 _LEAST_CORRELATED, _MOST_CORRELATED = 0.5, 0.95  # of the variance
-_NONE_RIGHT = 0.05  # of the images, before held-out ones are seen
-_HELD = 0.9  # of the images at least have their true pose in the region of this name
+_NONE_RIGHT = 0.05  # outlier probability before held-out images are seen
+_HELD = 0.9  # the region of this probability holds at least this fraction of the true poses
 _RIGHT = 0.5, 0.35  # depths and radians, beyond which a pose is of another place
 
 Advance = Callable[[int, int], None]
@@ -45,13 +45,13 @@ QueryFeatures = Callable[[int], Features]
 
 @dataclass(frozen=True)
 class LeaveOut:
-    """Training images, localized by a map without those near them in time.
+    """Training images, localized by a map without the images near them in time.
 
     Attributes:
-        image: Number of each, in order of time.
-        found: Verified poses of each.
+        image: Numbers of the images, in order of time.
+        found: Verified poses of each image.
         truth: True poses, (n,).
-        view_distance: Distance from the most similar view of the map, see `MappedViews.distances`.
+        view_distance: Distance of each from the most similar view of the map, see `MappedViews.distances`.
         depth_m: Median distance of the scene, metres.
     """
 
@@ -80,7 +80,7 @@ class LeaveOut:
 
     @property
     def alike(self) -> Bool[np.ndarray, " n"]:
-        """Which images have a verified pose of another place, (n,)."""
+        """Mask of the images with a verified pose of another place, (n,)."""
         wrong = [not all(self._is_right(each, row) for each in found) for row, found in enumerate(self.found)]
         return np.array(wrong, bool)
 
@@ -113,18 +113,18 @@ def leave_out(
     stretches: Sequence[float] = _STRETCHES,
     advance: Advance = lambda done, total: None,
 ) -> LeaveOut:
-    """Localize `most` training images, evenly spaced, without those near them in time.
+    """Localize `most` training images, evenly spaced, without the images near them in time.
 
-    Around an image is hidden as much as leaves landmarks of the right place for half of the images: in use, all were
-    seen at another time.
+    The longest stretches are hidden with which half of the images still verify the right place: in use, all landmarks
+    were seen at another time.
 
     Args:
-        built: The map of all of them.
+        built: The map of all images.
         features: Gives the features of a training image by its number, from `query_features`.
         poses: True poses, world_from_camera, (n,).
-        sequence: Index of the sequence of each, (n,).
+        sequence: Index of the sequence of each image, (n,).
         most: Number of localized images.
-        stretches: Lengths to hide, of which the longest that leaves enough is taken: 1 is half a depth, or 25°.
+        stretches: Lengths of hidden stretches, longest first: 1 is half a depth, or 25°.
         advance: Called with the number of images done, and of all.
     """
     stretch = np.zeros(len(poses), np.int64)
@@ -168,7 +168,7 @@ def _without(
 def _stretches(
     poses: Poses, sequence: Int64[np.ndarray, " n"], depth_m: float, length: float
 ) -> tuple[Int64[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
-    """The stretch of each image, over which the view changes by `length`, and whether the image is in its middle."""
+    """Number of the stretch of each image, over which the view changes by `length`, and the mask of middle images."""
     change = np.cumsum(view_change(poses, depth_m))
     begins = np.flatnonzero(np.diff(sequence, prepend=sequence[:1] - 1))
     first = begins[np.searchsorted(begins, np.arange(len(poses)), side="right") - 1]
@@ -182,9 +182,10 @@ def _stretches(
 
 @dataclass(frozen=True)
 class VerifiedErrors:
-    """Errors of verified poses in the camera's frame, of the images of the fit.
+    """Errors of verified poses in the camera's frame.
 
-    `elsewhere` is that of `LeaveOut`, medians are of poses of the right place, `coverage` that of three regions.
+    `elsewhere` is `LeaveOut.elsewhere`. Medians are of poses of the right place. `coverage` is of the 50, 90 and 95 %
+    regions.
     """
 
     errors: MeasurementNoise
@@ -204,8 +205,7 @@ def fit_verified_errors(
 ) -> VerifiedErrors | None:
     """Errors of the poses of the right place; None where there are too few.
 
-    `poses` and `sequence` are those of all images; `log_clutter_density` of poses spread evenly over the map, per m³
-    rad³.
+    `poses` and `sequence` are of all images. `log_clutter_density` is of poses spread evenly over the map, per m³ rad³.
     """
     rows, depth_m = left_out.right, left_out.depth_m
     if len(rows) < LEAST_IMAGES:
