@@ -26,7 +26,7 @@ _RELAXATION = 0.05  # fraction of the loss that goes to the components other tha
 
 
 class Components(NamedTuple):
-    """k components for each of b images, whose weights add up to 1; widths are metres along each axis and radians."""
+    """k components for each of b images, with weights of sum 1; widths are metres along each axis, and radians."""
 
     log_weights: Float[Tensor, "b k"]
     translation: Float[Tensor, "b k 3"]
@@ -43,7 +43,7 @@ class Components(NamedTuple):
 
 
 class MixtureDensity(DensityRegressor):
-    """A regressor whose posterior is such a mixture; subclasses give its components."""
+    """A regressor whose posterior is a mixture; subclasses define its components."""
 
     noise_dim = 8  # one for the component, three for the position, three for the axis and one for the angle
 
@@ -142,7 +142,7 @@ class MixtureRegressor(MixtureDensity):
     def loss(
         self, images: Images, true_translation: Positions, true_rotation: Rotations, noise: Noise, config: LossConfig
     ) -> Float[Tensor, ""]:
-        """Negative log likelihood of the component that fits best, a little of the others', and which one it is.
+        """Negative log likelihood of the best component and of its choice, and a little of the other components.
 
         Relaxed winner takes all: a mixture trained by its likelihood alone collapses to few components (Deng et al.).
         """

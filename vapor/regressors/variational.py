@@ -54,11 +54,10 @@ class VariationalPoseRegressor(PoseRegressor):
     def loss(
         self, images: Images, true_translation: Positions, true_rotation: Rotations, noise: Noise, config: LossConfig
     ) -> Float[Tensor, ""]:
-        """β KL + mean d_pose over the batch and, of each image, the ⌊αM⌋ samples nearest to its true pose.
+        """β KL + mean d_pose over the batch and, for each image, the ⌊αM⌋ samples nearest to its true pose.
 
-        All M samples are mapped without gradient first, to find the winners; only the winners are mapped again with
-        gradient. The losers' gradient is zero, so this is the gradient of mapping all of them, for a fraction of the
-        work.
+        All M samples are mapped without gradient to find the winners; only the winners are mapped again with gradient.
+        The gradient is the same as of mapping all with gradient.
         """
         mean, log_variance = self.encode(images)
         truth = true_translation[:, None], true_rotation[:, None]
@@ -71,12 +70,12 @@ class VariationalPoseRegressor(PoseRegressor):
         return config.beta * kl_divergence(mean, log_variance).mean() + nearest
 
     def samples_in_training(self, scheduled: int) -> int:
-        """As many as scheduled: the winners are found among them."""
+        """The number of the schedule: the winners are found among these samples."""
         return scheduled
 
     @torch.no_grad()
     def initialise(self, training_poses: Poses, *, log_variance: float) -> None:
-        """Let the latent have about this log variance before training."""
+        """Give the latent about this log variance before training."""
         self.latent_log_variance.bias.add_(log_variance)
 
     def take_weights(self, state: Mapping[str, Tensor]) -> None:
@@ -100,7 +99,7 @@ def kl_divergence(mean: Float[Tensor, "b d"], log_variance: Float[Tensor, "b d"]
 
 
 class DeterministicPoseRegressor(VariationalPoseRegressor):
-    """The same layers, of which the latent variance is used for nothing; all samples of an image are one pose."""
+    """The same layers, without use of the latent variance; all samples of an image are one pose."""
 
     def __init__(self, config: NetworkConfig, box: SceneBox) -> None:
         super().__init__(config, box)
