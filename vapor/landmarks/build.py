@@ -40,7 +40,7 @@ _AGREES_PX, _LEAST_AGREEING = 1.5, 0.2  # matches whose rays meet: of images of 
 _MOST_PX = 4.0  # that rays of a match may miss each other by
 _OUTLIERS_PX = (8.0, 6.0, 4.0, 3.0, 2.5)  # sightings that are further off are left out, from round to round
 _LEAST_PARALLAX = np.deg2rad(1.5)
-_LEAST_POINTS = 50  # below which there is no map
+_LEAST_POINTS = 50  # of a map
 _LEAST_DEPTH = 0.02  # in median depths
 _MOST_BYTES, _MOST_BYTES_OF_ALL = 18_000, 27_000_000  # of the map, a key image and all
 _BYTES_OF_POINT, _BYTES_OF_SIGHTING = 76, 4
@@ -61,9 +61,9 @@ class Material:
         stated: Stated camera of the images, at their size; None without one.
         key: Numbers of the key images, in order.
         poses: world_from_camera of the key images, (k,).
-        features: Of each, in the basis.
+        features: Features of each key image, in the basis.
         basis: Basis of the descriptors.
-        matches: Matching features of pairs of key images, by their place in `key`.
+        matches: Matching features of pairs of key images, by their index in `key`.
         depth_m: Median distance of the scene, metres.
     """
 
@@ -170,11 +170,11 @@ def gather(
 
     Args:
         view: Gives a grey training image by its number, in order of time.
-        poses: world_from_camera of n of them.
-        camera: Their camera, at their size.
-        stated: Whether that is stated, or a guess.
+        poses: world_from_camera of the n training images.
+        camera: Camera of the images, at their size.
+        stated: Whether the camera is stated, or a guess.
         scale_m: Initial distance that changes a view as much as a radian.
-        given: Gives the points of a reconstruction in a training image, by its number; None without any.
+        given: Gives the points of a reconstruction in a training image, by its number, if any.
         advance: Called with the number of key images done, and of all.
     """
     count = _FEATURES

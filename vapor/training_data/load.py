@@ -24,7 +24,7 @@ from vapor.training_data.checks import Colours, said_of_colours, too_far
 from vapor.training_data.training_set import TrainingError, TrainingSet
 from vapor.training_data.views import Views, said_of_views
 
-_MOST_CAMERAS = 3  # that are named
+_MOST_CAMERAS = 3  # in a notice
 _USUAL_FOCAL = 0.8  # of the longer edge, where no focal length is stated: about 64° wide
 
 
@@ -41,13 +41,13 @@ def load_training_set(
     """Read frames once, scale each image to cover a frame, and keep it in a temporary file.
 
     Args:
-        sequences: Frames by the name of their file or folder; frames without a pose are left out.
-        frame_size: Width and height of that frame, pixels, or a function of the camera's width and height.
-        central: Keep the part of the middle that fills the frame, so that images may differ in size; else keep the
-            whole image, and all must have the aspect ratio of the first.
-        camera: The camera that images with known intrinsics are resampled to; None for that of most images.
-        views: Keep them grey and larger, too, for landmarks.
-        view_camera: The camera of these; None for that of most images.
+        sequences: Frames by the name of their file or folder; frames without a pose are skipped.
+        frame_size: Width and height of the frame, pixels, or a function of the camera's width and height.
+        central: Keep the middle that fills the frame, so that images may differ in size; else keep whole images, which
+            must all have the aspect ratio of the first one.
+        camera: The camera to which images with known intrinsics are resampled; None for the camera of most images.
+        views: Keep grey and larger images, too, for landmarks.
+        view_camera: The camera of these; None for the camera of most images.
         progress: Called with the number of images read so far.
 
     Raises:
@@ -138,7 +138,7 @@ def load_training_set(
 
 
 def _commonest_camera(sequences: Mapping[str, Iterable[Frame]]) -> Camera | None:
-    """The camera of most images, as far as that is known before they are read."""
+    """The camera of most images, as far as cameras are known before reading."""
     cameras: Counter[Camera] = Counter()
     for frames in sequences.values():
         if isinstance(frames, PosedFrames):
@@ -163,22 +163,22 @@ def _of_cameras(as_taken: AsTakenBy, total: int) -> list[str]:
 
 
 def _sequence_names(names: Sequence[str], begun: Sequence[tuple[int, int]]) -> tuple[str, ...]:
-    """Names of sequences, each given by the number of its file or folder and its own, where there are several."""
+    """Names of sequences, given by the number of their file or folder and their number in it."""
     several = {file for file, count in Counter(file for file, _ in begun).items() if count > 1}
     return tuple(f"{names[file]}, sequence {number + 1}" if file in several else names[file] for file, number in begun)
 
 
 class GreyViews:
-    """Takes images one by one; `camera` is that of most of them, or a guess by the size of the first."""
+    """Grey images for landmarks, in a file; `camera` is the given one, or a guess by the size of the first image."""
 
     def __init__(self, camera: Camera | None, file: IO[bytes]) -> None:
-        """Set up for images of a camera, None where unknown, which are kept in a file."""
+        """Keep images of a camera, None where unknown, in a file."""
         self.camera = None if camera is None else shrunk(camera)
         self._as_taken: AsTakenBy | None = None
         self._file, self._count = file, 0
 
     def take(self, frame: Frame) -> None:
-        """Keep an image."""
+        """Add an image."""
         if self.camera is None:
             self.camera = shrunk(usual_camera(frame.image.shape[1], frame.image.shape[0]))
         if self._as_taken is None:
@@ -194,7 +194,7 @@ class GreyViews:
 
 
 def usual_camera(width: int, height: int) -> Camera:
-    """A guess at the camera of images of so many pixels, of which nothing is stated."""
+    """A guess at the camera of images of this size, pixels, without stated intrinsics."""
     focal = _USUAL_FOCAL * max(width, height)
     return Camera(width, height, focal, focal, 0.5 * (width - 1), 0.5 * (height - 1))
 
