@@ -8,7 +8,6 @@ import importlib.metadata
 import io
 import json
 import os
-import re
 import sys
 import warnings
 from contextlib import suppress
@@ -35,8 +34,6 @@ _CPU_FLAGS = Path("/proc/cpuinfo")
 _FLAG_LINES = "flags", "Features"  # of x86 and Arm
 _BFLOAT16_FLAGS = {"avx512_bf16", "amx_bf16", "bf16"}  # of Intel and AMD, Intel, and Arm
 
-_NOISE = re.compile(r"noise f32 \[\?,[1-9]\d{0,4}]")  # columns: no regressor takes more, which would fill the memory
-_POSES = "translation f32 [?,3], rotation f32 [?,3,3]"
 _FORMAT = "vapor-track compiled network"
 _BLOB = "blob"
 
@@ -124,37 +121,12 @@ def converted_network(checkpoint: Checkpoint) -> openvino.Model:
         return openvino.convert_model(traced, example_input=inputs, input=shapes)
 
 
-def compile_exported(model: ModelDescription, precision: Precision, threads: int) -> openvino.CompiledModel:
-    """The network of an exported model compiled for this processor.
-
-    Raises:
-        CheckpointError: its file has none that can be compiled, or one of other inputs and outputs than it should have.
-    """
-    assert model.file is not None
-    try:
-        compiled = compile_network(model.file, precision, threads)
-        found = ", ".join(
-            f"{port.get_any_name()} {port.element_type.to_string()} {port.partial_shape}"
-            for port in (*compiled.inputs, *compiled.outputs)
-        )
-    except RuntimeError as error:
-        raise CheckpointError(
-            f"{model.file}: OpenVINO cannot compile its network ({last_line(error)}), expected the file as written"
-        ) from error
-    size, known = model.network, model.ood_model
-    expected = f"image u8 [{size.image_height},{size.image_width},3], noise f32 [?,d], {_POSES}"
-    expected += f", description f32 [{len(known.centre)}]" if known is not None else ""
-    if _NOISE.sub("noise f32 [?,d]", found) != expected:
-        raise CheckpointError(f"{model.file}: its network has {found or 'no inputs'}; expected {expected}")
-    return compiled
-
-
-def last_line(error: RuntimeError) -> str:
+def last_line(error: Exception) -> str:
     """The last of the many lines of an error of OpenVINO, its most informative one."""
     return (str(error).strip().splitlines() or [type(error).__name__])[-1]
 
 
-def compile_network(model: openvino.Model | Path, precision: Precision, threads: int) -> openvino.CompiledModel:
+def compile_network(model: openvino.Model | Path | None, precision: Precision, threads: int) -> openvino.CompiledModel:
     """A network compiled for this processor, from OpenVINO's own form or from an ONNX file.
 
     Raises:

@@ -107,23 +107,21 @@ def _openvino(
             return openvino_engine.OpenVINOEngine(openvino_engine.compiled_network(kept.blob, precision, threads))
         except RuntimeError:  # OpenVINO raises it for a network of another build: it is compiled again
             pass
-    if exported:
-        compiled, torch = openvino_engine.compile_exported(described, precision, threads), None
-    else:
+    network, torch = described.file, None
+    if not exported:
         checkpoint = _with_weights(model)
         network = openvino_engine.converted_network(checkpoint)
         torch = _torch(checkpoint, "float32", "cpu")
-        try:
-            compiled = openvino_engine.compile_network(network, precision, threads)
-        except RuntimeError as error:  # as on a processor without arithmetic of the precision
-            if not must:
-                return torch
-            reason = openvino_engine.last_line(error)
-            raise VaporTrackError(
-                f"engine openvino: this processor cannot run the network in {precision} ({reason}), expected"
-                " --engine torch, or another --precision"
-            ) from error
-    engine = openvino_engine.OpenVINOEngine(compiled)
+    try:
+        compiled = openvino_engine.compile_network(network, precision, threads)
+        engine = openvino_engine.OpenVINOEngine(compiled)
+    except (RuntimeError, IndexError) as error:  # as on a processor without arithmetic of the precision
+        if torch is not None and not must:
+            return torch
+        raise VaporTrackError(
+            f"{described.file or 'engine openvino'}: OpenVINO cannot compile the network in {precision}"
+            f" ({openvino_engine.last_line(error)}), expected --engine torch, or the exported file as it was written"
+        ) from error
     faster = None if torch is None else _is_faster(engine, torch, described, threads)
     is_kept = place is not None and place.write(Compiled(compiled.export_model().getvalue(), faster))
     if torch is not None and not must and not (faster and is_kept):

@@ -6,7 +6,6 @@ A new regressor is a file with a subclass of `PoseRegressor`, and its row in `va
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, ClassVar
 
 import torch
@@ -103,10 +102,6 @@ class PoseRegressor(nn.Module, ABC):
 
     def initialise(self, training_poses: Poses, *, log_variance: float) -> None:
         """Adapt the random weights to training poses (n,) and to the configured log σ² of a latent."""
-
-    def take_weights(self, state: Mapping[str, Tensor]) -> None:
-        """Start from all weights of a trained model of the same shape."""
-        self.load_state_dict(dict(state))
 
 
 class DensityRegressor(PoseRegressor):

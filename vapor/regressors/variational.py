@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -77,13 +75,6 @@ class VariationalPoseRegressor(PoseRegressor):
     def initialise(self, training_poses: Poses, *, log_variance: float) -> None:
         """Give the latent about this log variance before training."""
         self.latent_log_variance.bias.add_(log_variance)
-
-    def take_weights(self, state: Mapping[str, Tensor]) -> None:
-        """Where the trained model has no shortcut, a new one adds nothing at first."""
-        state = dict(state)
-        if self.pose_map.shortcut is not None:
-            state.setdefault("pose_map.shortcut.weight", torch.zeros_like(self.pose_map.shortcut.weight))
-        super().take_weights(state)
 
 
 def sample_latent(

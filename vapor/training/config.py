@@ -52,7 +52,7 @@ class TrainConfig:
     """efficientnet-lite0: start from the ImageNet weights of its package where no file is given."""
     initial_model: Path | None = None
     """A model trained here, of the same network shape, whose weights are the start: to go on with more data, or with
-    another loss. Its scene box is widened where the new data need it, and a missing shortcut is added."""
+    another loss. Its scene box is widened where the new data need it."""
     initial_log_variance: float = -4.0
     """variational: approximate log σ² of the latent before training, unless `initial_model` gives one. With a low one
     the pose map uses early what the encoder learns, which noise would hide; the paper has 0."""

@@ -167,8 +167,7 @@ def initial_model(config: TrainConfig) -> Checkpoint | None:
     initial = load_checkpoint(config.initial_model)
     wanted = config.network
     sizes = {name: getattr(wanted, name) for name in ("image_width", "image_height", "shortest_edge")}
-    shortcut = initial.network.shortcut or wanted.shortcut  # `take_weights` adds one that is missing
-    found = replace(initial.network, shortcut=shortcut, **sizes)  # convolutions fit images of any size
+    found = replace(initial.network, **sizes)  # convolutions fit images of any size
     pairs = ((name, getattr(found, name), value) for name, value in asdict(wanted).items())
     if other := [f"{name} {has!r} (expected {value!r})" for name, has, value in pairs if has != value]:
         raise TrainingError(f"{config.initial_model}: its network has {', '.join(other)} as configured")
@@ -197,7 +196,7 @@ def start(config: TrainConfig, box: SceneBox, poses: Poses, initial: Checkpoint 
         load_pretrained(network, config.pretrained_weights)
     network.initialise(poses, log_variance=config.initial_log_variance)
     if initial is not None:
-        network.take_weights(initial.state_dict)
+        network.load_state_dict(dict(initial.state_dict))
     average.load_state_dict(network.state_dict())
     network, average = (
         n.to(device).to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]

@@ -5,7 +5,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import distributions
 
-from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from vapor.regressors.loss import LossConfig, pose_distance
 from vapor.regressors.network_config import NetworkConfig
@@ -43,11 +42,6 @@ def test_in_units_of_the_box_an_error_counts_as_much_more_as_its_edge_is_shorter
     wrong[axis] = 0.1
     distance = pose_distance(wrong, torch.eye(3), torch.zeros(3), torch.eye(3), config, box)
     assert distance.item() == pytest.approx(5.0 * 0.1 * counts)
-
-
-def test_another_unit_of_positions_is_refused():
-    with pytest.raises((VaporTrackError, TypeError), match="position_unit"):
-        LossConfig(position_unit="feet")
 
 
 def test_a_perfect_prediction_has_a_finite_gradient():

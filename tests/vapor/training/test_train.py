@@ -10,7 +10,6 @@ import torch
 
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
-from tests.helpers.full import full
 from tests.helpers.tiny_training import STILL, TINY, make_frames, pose, same_weights, train_on_most
 from vapor.checkpoints.file_format import load_checkpoint
 from vapor.evaluation.validation import validate
@@ -78,26 +77,6 @@ def test_a_training_goes_on_from_all_weights_of_another_model_in_a_box_that_hold
     assert on.box.upper[:2] == there.box.upper[:2]
     assert on.box.upper[2] > there.box.upper[2] + 8
     assert on.training["config"]["initial_model"] == "first.safetensors"
-
-
-@full
-@pytest.mark.parametrize("head", ["variational", "point"])
-def test_a_model_without_a_shortcut_goes_on_with_one_and_one_with_it_does_not_go_on_without(head, tmp_path):
-    first, last = tmp_path / "first.safetensors", tmp_path / "last.safetensors"
-    plain = replace(TINY.network, head=head, shortcut=False)
-    train_on({"a": make_frames(24)}, first, replace(TINY, network=plain))
-    there = load_checkpoint(first)
-    direct = replace(TINY.network, head=head, shortcut=True)
-    still = replace(TINY, initial_model=first, network=direct, learning_rate=1e-12, weight_decay=0.0, epochs=1)
-    on = train_on({"a": make_frames(24)}, last, still).checkpoint
-    learned = {name for name in there.state_dict if "running" not in name and "num_batches" not in name}
-    assert all(torch.allclose(on.state_dict[name], there.state_dict[name], atol=1e-8) for name in learned)
-    new = set(on.state_dict) - set(there.state_dict)
-    assert new == ({"pose_map.shortcut.weight"} if head == "variational" else set())
-    assert all(on.state_dict[name].abs().max() < 1e-8 for name in new)
-    if head == "variational":
-        with pytest.raises(TrainingError, match=r"has shortcut True \(expected False\)"):
-            train_on({"a": make_frames(24)}, first, replace(still, initial_model=last, network=plain))
 
 
 def test_a_selection_trains_the_network_that_its_images_alone_train(tmp_path):
