@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Int64
 
-from filtering.se3 import Poses
-from vapor.calibration.verified_errors import QueryFeatures, leave_out
+from vapor.calibration.verified_errors import leave_out
 from vapor.landmarks.build import BuiltMap, Material, build, camera_found
 from vapor.landmarks.landmark_map import ViewCamera
 
@@ -73,39 +71,25 @@ class CameraFit:
         )
 
 
-def fit_camera(
-    material: Material,
-    stated: ViewCamera,
-    features: QueryFeatures,
-    poses: Poses,
-    sequence: Int64[np.ndarray, " n"],
-    *,
-    known: bool,
-    compare: bool = True,
-) -> CameraFit | None:
+def fit_camera(material: Material, *, compare: bool = True) -> CameraFit | None:
     """The camera of best fit; None where too few points are seen from two sides.
 
-    Where a camera is stated (`known`), the maps by both cameras are compared by localized images, if `compare`. For the
-    other arguments see `leave_out`.
+    Where a camera is stated, the maps by both cameras are compared by localized images, if `compare`.
     """
+    stated, known = ViewCamera(material.camera), material.stated is not None
     found = camera_found(material, stated)
     if found is None:
         return None
     by_found, by_stated = build(material, found.camera), build(material, stated) if known and compare else None
     errors = None
     if by_stated is not None and by_found is not None:
-        errors = (
-            _typical_error_m(by_stated, features, poses, sequence),
-            _typical_error_m(by_found, features, poses, sequence),
-        )
+        errors = _typical_error_m(by_stated), _typical_error_m(by_found)
     return CameraFit(stated, known, found.camera, found.focal_std, by_stated, by_found, errors)
 
 
-def _typical_error_m(
-    built: BuiltMap, features: QueryFeatures, poses: Poses, sequence: Int64[np.ndarray, " n"]
-) -> float:
+def _typical_error_m(built: BuiltMap) -> float:
     """Median error of localized images; infinite where most have no verified pose of the right place."""
-    left_out = leave_out(built, features, poses, sequence, most=_COMPARED, stretches=(1.0,))
+    left_out = leave_out(built, most=_COMPARED, stretches=(1.0,))
     metres, _ = left_out.errors
-    every = np.concatenate([metres, np.full(len(left_out.image) - len(metres), np.inf)])
+    every = np.concatenate([metres, np.full(len(left_out.found) - len(metres), np.inf)])
     return float(np.median(every)) if len(every) else np.inf

@@ -22,8 +22,7 @@ from vapor.calibration.error_correlation import (
 from vapor.calibration.image_errors import LEAST_IMAGES, cautious, most_likely_errors
 from vapor.calibration.places import Places
 from vapor.checkpoints.scene_scale import spaced
-from vapor.landmarks.build import BuiltMap
-from vapor.landmarks.features import Features
+from vapor.landmarks.build import BuiltMap, Material
 from vapor.landmarks.localize import LandmarkLocalizer, VerifiedPose
 from vapor.landmarks.tracks import view_change
 
@@ -40,7 +39,6 @@ _HELD = 0.9  # the region of this probability holds at least this fraction of th
 _RIGHT = 0.5, 0.35  # depths and radians, beyond which a pose is of another place
 
 Advance = Callable[[int, int], None]
-QueryFeatures = Callable[[int], Features]
 
 
 @dataclass(frozen=True)
@@ -48,14 +46,14 @@ class LeaveOut:
     """Training images, localized by a map without the images near them in time.
 
     Attributes:
-        image: Numbers of the images, in order of time.
+        travel: Motion between the images, which are in order of time.
         found: Verified poses of each image.
         truth: True poses, (n,).
         view_distance: Distance of each from the most similar view of the map, see `MappedViews.distances`.
         depth_m: Median distance of the scene, metres.
     """
 
-    image: Int64[np.ndarray, " n"]
+    travel: Travel
     found: tuple[tuple[VerifiedPose, ...], ...]
     truth: Poses
     view_distance: Float64[np.ndarray, " n"]
@@ -105,9 +103,6 @@ class LeaveOut:
 
 def leave_out(
     built: BuiltMap,
-    features: QueryFeatures,
-    poses: Poses,
-    sequence: Int64[np.ndarray, " n"],
     *,
     most: int = _IMAGES,
     stretches: Sequence[float] = _STRETCHES,
@@ -120,64 +115,55 @@ def leave_out(
 
     Args:
         built: The map of all images.
-        features: Gives the features of a training image by its number, from `query_features`.
-        poses: True poses, world_from_camera, (n,).
-        sequence: Index of the sequence of each image, (n,).
         most: Number of localized images.
         stretches: Lengths of hidden stretches, longest first: 1 is half a depth, or 25°.
         advance: Called with the number of images done, and of all.
     """
-    stretch = np.zeros(len(poses), np.int64)
-    middle = np.arange(len(poses))
+    stretch = middle = np.arange(len(built.material.truth))
     for length in stretches:
-        stretch, in_middle = _stretches(poses, sequence, built.material.depth_m, length)
+        stretch, in_middle = _stretches(built.material, length)
         middle = np.flatnonzero(in_middle)
         if length == stretches[-1]:
             break
         some = middle[spaced(len(middle), _TRIED)]
-        if _without(built, features, poses, stretch, some, lambda done, total: None).verified >= _ENOUGH:
+        if _without(built, stretch, some, lambda done, total: None).verified >= _ENOUGH:
             break
-    return _without(built, features, poses, stretch, middle[spaced(len(middle), most)], advance)
+    return _without(built, stretch, middle[spaced(len(middle), most)], advance)
 
 
 def _without(
-    built: BuiltMap,
-    features: QueryFeatures,
-    poses: Poses,
-    stretch: Int64[np.ndarray, " n"],
-    chosen: Int64[np.ndarray, " k"],
-    advance: Advance,
+    built: BuiltMap, stretch: Int64[np.ndarray, " n"], chosen: Int64[np.ndarray, " k"], advance: Advance
 ) -> LeaveOut:
-    found: dict[int, tuple[VerifiedPose, ...]] = {}
-    distance = np.zeros(len(poses))
+    material, found = built.material, dict[int, tuple[VerifiedPose, ...]]()
+    distance = np.zeros(len(material.truth))
     for fold in range(_FOLDS):
         own = chosen[stretch[chosen] % _FOLDS == fold]
-        hidden = stretch[built.material.key] % _FOLDS == fold
+        hidden = stretch[material.key] % _FOLDS == fold
         if not len(own) or hidden.all():
             continue
         localizer = LandmarkLocalizer(built.hiding(hidden))
-        distance[own] = localizer.mapped().distances(poses[own])
+        distance[own] = localizer.mapped().distances(material.truth[own])
         for image in own.tolist():
             advance(len(found), len(chosen))
-            found[image] = tuple(localizer.localize(localizer.described(features(image))))
+            found[image] = tuple(localizer.localize(localizer.described(material.query(image))))
     image = np.array(sorted(found), np.int64)
+    travel = Travel.along(material.truth, material.sequence)[image]
     of_images = tuple(found[i] for i in image.tolist())
-    return LeaveOut(image, of_images, poses[image], distance[image], built.material.depth_m)
+    return LeaveOut(travel, of_images, material.truth[image], distance[image], material.depth_m)
 
 
-def _stretches(
-    poses: Poses, sequence: Int64[np.ndarray, " n"], depth_m: float, length: float
-) -> tuple[Int64[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
+def _stretches(material: Material, length: float) -> tuple[Int64[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
     """Number of the stretch of each image, over which the view changes by `length`, and the mask of middle images."""
-    change = np.cumsum(view_change(poses, depth_m))
+    sequence = material.sequence
+    change = np.cumsum(view_change(material.truth, material.depth_m))
     begins = np.flatnonzero(np.diff(sequence, prepend=sequence[:1] - 1))
-    first = begins[np.searchsorted(begins, np.arange(len(poses)), side="right") - 1]
+    first = begins[np.searchsorted(begins, np.arange(len(sequence)), side="right") - 1]
     since = (change - change[first]) / length
     within = np.floor(since).astype(np.int64)
     _, number = np.unique(np.stack([first, within], axis=1), axis=0, return_inverse=True)
     part = since - within
     middle = (part >= _END) & (part <= 1.0 - _END)
-    return number.reshape(-1).astype(np.int64), middle if middle.any() else np.ones(len(poses), bool)
+    return number.reshape(-1).astype(np.int64), middle if middle.any() else np.ones(len(sequence), bool)
 
 
 @dataclass(frozen=True)
@@ -197,15 +183,10 @@ class VerifiedErrors:
     coverage: tuple[float, float, float]
 
 
-def fit_verified_errors(
-    left_out: LeaveOut,
-    poses: Poses,
-    sequence: Int64[np.ndarray, " n"],
-    log_clutter_density: float,
-) -> VerifiedErrors | None:
+def fit_verified_errors(left_out: LeaveOut, log_clutter_density: float) -> VerifiedErrors | None:
     """Errors of the poses of the right place; None where there are too few.
 
-    `poses` and `sequence` are of all images. `log_clutter_density` is of poses spread evenly over the map, per m³ rad³.
+    `log_clutter_density` is of poses spread evenly over the map, per m³ rad³.
     """
     rows, depth_m = left_out.right, left_out.depth_m
     if len(rows) < LEAST_IMAGES:
@@ -218,7 +199,7 @@ def fit_verified_errors(
     found = most_likely_errors(places, depth_m, log_clutter_density, None)
     errors = replace(MeasurementNoise(log_clutter_density=log_clutter_density), **found.settings(depth_m))
     residuals, usable = places.residuals(errors)
-    travel = Travel.along(poses, sequence)[left_out.image[which]]
+    travel = left_out.travel[which]
     correlated = _error_correlation(residuals, usable, travel, depth_m)
     effective = effective_images(travel, correlated)
     errors = cautious(errors, effective)

@@ -17,6 +17,7 @@ from sequences.frame import Camera
 from vapor.landmarks.adjustment import Adjusted, adjusted
 from vapor.landmarks.features import Basis, Features, extract, mutual_matches, stored, unit_vectors
 from vapor.landmarks.landmark_map import LandmarkMap, ViewCamera, summed_up
+from vapor.landmarks.localize import query_features
 from vapor.landmarks.points import Sightings, parallax, seen, triangulated
 from vapor.landmarks.tracks import (
     RATIO,
@@ -55,9 +56,13 @@ View = Callable[[int], UInt8[np.ndarray, "h w"]]
 
 @dataclass(frozen=True)
 class Material:
-    """The key images among n training images, and their features.
+    """n training images, and the features of the key images among them.
 
     Attributes:
+        truth: world_from_camera of all images, (n,), in order of time.
+        sequence: Index of the sequence of each image, (n,).
+        query: Gives the features of an image that is to be localized, by its number.
+        camera: Camera of the images, at their size, stated or guessed.
         stated: Stated camera of the images, at their size; None without one.
         key: Numbers of the key images, in order.
         poses: world_from_camera of the key images, (k,).
@@ -67,6 +72,10 @@ class Material:
         depth_m: Median distance of the scene, metres.
     """
 
+    truth: Poses
+    sequence: Int64[np.ndarray, " n"]
+    query: Callable[[int], Features]
+    camera: Camera
     stated: Camera | None
     key: Int64[np.ndarray, " k"]
     poses: Poses
@@ -161,6 +170,7 @@ def gather(
     poses: Poses,
     camera: Camera,
     *,
+    sequence: Int64[np.ndarray, " n"] | None = None,
     stated: bool = True,
     scale_m: float,
     given: Given = lambda image: None,
@@ -172,6 +182,7 @@ def gather(
         view: Gives a grey training image by its number, in order of time.
         poses: world_from_camera of the n training images.
         camera: Camera of the images, at their size.
+        sequence: Index of the sequence of each image, (n,); None for one sequence.
         stated: Whether the camera is stated, or a guess.
         scale_m: Initial distance that changes a view as much as a radian.
         given: Gives the points of a reconstruction in a training image, by its number, if any.
@@ -207,7 +218,19 @@ def gather(
     at = ViewCamera(camera)
     placed = [at_given_points(each, given(image), at) for each, image in zip(reduced, key.tolist(), strict=True)]
     matches = with_given_points(matches, [points for _, points in placed])
-    return Material(camera if stated else None, key, own, tuple(each for each, _ in placed), basis, matches, depth_m)
+    return Material(
+        poses,
+        np.zeros(len(poses), np.int64) if sequence is None else sequence,
+        cache(lambda image: query_features(view(image))),
+        camera,
+        camera if stated else None,
+        key,
+        own,
+        tuple(each for each, _ in placed),
+        basis,
+        matches,
+        depth_m,
+    )
 
 
 def build(material: Material, camera: ViewCamera) -> BuiltMap | None:

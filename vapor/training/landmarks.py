@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool
@@ -17,13 +17,13 @@ from vapor.calibration.error_correlation import ErrorCorrelation, Travel, effect
 from vapor.calibration.image_errors import LEAST_IMAGES
 from vapor.calibration.ood_model import extract_features
 from vapor.calibration.verification import SeenPlaces, evidence, fit_reach, fit_verification, none_right
-from vapor.calibration.verified_errors import QueryFeatures, VerifiedErrors, fit_verified_errors, leave_out
+from vapor.calibration.verified_errors import VerifiedErrors, fit_verified_errors, leave_out
 from vapor.checkpoints.calibration import Calibration
 from vapor.checkpoints.scene_scale import log_clutter_density, spaced
 from vapor.evaluation.validation import predict
 from vapor.landmarks.build import BuiltMap, Material, build, gather
 from vapor.landmarks.landmark_map import ViewCamera
-from vapor.landmarks.localize import LandmarkLocalizer, VerifiedPose, query_features
+from vapor.landmarks.localize import LandmarkLocalizer, VerifiedPose
 from vapor.landmarks.verify import Verification
 from vapor.regressors.base import PoseRegressor
 from vapor.regressors.ood_model import OodModel
@@ -77,30 +77,29 @@ def find_landmarks(
     """
     if images.view_camera is None or not len(images.views):
         return None, ()
-    stated, poses, known = ViewCamera(images.view_camera), images.poses, images.camera is not None
     material = gather(
         lambda image: images.views[images.rows[image]],
-        poses,
-        stated.camera,
-        stated=known,
-        scale_m=near_scale_m(poses),
+        images.poses,
+        images.view_camera,
+        sequence=images.sequence,
+        stated=images.camera is not None,
+        scale_m=near_scale_m(images.poses),
         given=lambda image: images.seen_points[images.rows[image]] if images.seen_points else None,
         advance=advance,
     )
     if material is None:
         return None, (_NONE.format("no two images show the same from two sides"),)
-    features = cache(lambda image: query_features(images.views[images.rows[image]]))
-    built, notes = _best_map(images, features, material, stated, choice if known else "estimated", known=known)
+    built, notes = _best_map(material, choice, images.camera_size[0])
     if built is None:
         return None, (*notes, _NONE.format("hardly any point is seen where it must be by the poses"))
-    left_out = leave_out(built, features, images.poses, images.sequence, advance=advance)
-    verified = fit_verified_errors(left_out, poses, images.sequence, log_clutter_density(poses))
+    left_out = leave_out(built, advance=advance)
+    verified = fit_verified_errors(left_out, log_clutter_density(images.poses))
     if verified is None:
         few = f"without the images taken near them in time they verify the poses of {len(left_out.right)} images only"
         return None, (*notes, _NONE.format(f"{few}, and how poses err is found on {LEAST_IMAGES} or more"))
     found = (
         f"landmarks: {len(built.points)} points, seen in {len(material.key)} images; without the images taken near them"
-        f" in time they verify the poses of {left_out.verified:.0%} of {len(left_out.image)} images, which then err by"
+        f" in time they verify the poses of {left_out.verified:.0%} of {len(left_out.found)} images, which then err by"
         f" {100 * verified.median_m:.1f} cm and {np.degrees(verified.median_rad):.1f}° (median)"
     )
     if verified.elsewhere > 0.0:
@@ -115,26 +114,16 @@ def find_landmarks(
     return FoundLandmarks(built, verified, verification, images), (*notes, found)
 
 
-def _best_map(
-    images: TrainingSet,
-    features: QueryFeatures,
-    material: Material,
-    stated: ViewCamera,
-    choice: CameraChoice,
-    *,
-    known: bool,
-) -> tuple[BuiltMap | None, tuple[str, ...]]:
-    """The map by the camera that fits, with a notice."""
-    if choice == "stated":
-        return build(material, stated), ()
-    fit = fit_camera(material, stated, features, images.poses, images.sequence, known=known, compare=choice == "auto")
+def _best_map(material: Material, choice: CameraChoice, width_px: int) -> tuple[BuiltMap | None, tuple[str, ...]]:
+    """The map by the camera that fits, with a notice on images of this width."""
+    choice = choice if material.stated is not None else "estimated"
+    fit = None if choice == "stated" else fit_camera(material, compare=choice == "auto")
     if fit is None:
-        return build(material, stated), ()
+        return build(material, ViewCamera(material.camera)), ()
     if fit.by_found is None or (choice == "auto" and not fit.is_better):
         return fit.by_stated, ()
-    taken = "" if choice == "estimated" or not known else "; so it is taken (--camera stated: the stated one)"
-    found = fit.in_words(images.camera_size[0] if images.camera_size else stated.camera.width)
-    return fit.by_found, (f"camera: {found}{taken}",)
+    taken = "; so it is taken (--camera stated: the stated one)" if choice == "auto" else ""
+    return fit.by_found, (f"camera: {fit.in_words(width_px)}{taken}",)
 
 
 @dataclass(frozen=True)
