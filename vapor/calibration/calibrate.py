@@ -98,6 +98,18 @@ def fit_widths(
 Advance = Callable[[int, int], None]
 
 
+def predict_all(network: PoseRegressor, parts: Sequence[TrainingSet], seed: int, advance: Advance) -> list[list[Poses]]:
+    """Posterior samples of all images of each part; `advance` is called with the number of images done and of all."""
+    total, done = sum(len(images) for images in parts), 0
+    found: list[list[Poses]] = [[] for _ in parts]
+    for images, samples in zip(parts, found, strict=True):
+        for poses in predict(network, images, NUM_SAMPLES, seed):
+            samples.append(poses)
+            done += 1
+            advance(done, total)
+    return found
+
+
 @dataclass(frozen=True)
 class CalibrationResult:
     """A calibration and its provenance.
@@ -171,13 +183,8 @@ def calibrate(
     if training is not None and ood_model is not None and network.memory is None:
         exemplars = spaced(len(training), EXEMPLARS)
         observed.append(training.select(exemplars[spaced(len(exemplars), len(chosen))]))
-    total, done, found = sum(len(images) for images in observed), 0, []
-    for images in observed:
-        samples = []
-        for poses in predict(network, images, NUM_SAMPLES, seed):
-            samples.append(poses)
-            advance(done + len(samples), total)
-        done += len(samples)
+    found = []
+    for images, samples in zip(observed, predict_all(network, observed, seed, advance), strict=True):
         score = ood_model.ood_score(extract_features(network, images)) if ood_model is not None else None
         found.append(Observations(samples, images.poses, score))
     samples, truth = found[0].samples, found[0].truth

@@ -14,13 +14,12 @@ from filtering.measurement_noise import MeasurementNoise
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
-from vapor.calibration.calibrate import NUM_SAMPLES, CalibrationResult
+from vapor.calibration.calibrate import CalibrationResult, predict_all
 from vapor.calibration.ood_model import extract_features
 from vapor.checkpoints.calibration import Calibration
 from vapor.checkpoints.scene_scale import default_errors
 from vapor.evaluation.consistency import REGIONS, evaluate_belief
 from vapor.evaluation.trajectory import is_right
-from vapor.evaluation.validation import predict
 from vapor.landmarks.localize import VerifiedPose
 from vapor.landmarks.verify import verified
 from vapor.regressors.base import PoseRegressor
@@ -70,20 +69,15 @@ def check(
     if not runs:
         return None, fitted
     runs = [(rows[: max(_MOST_IMAGES // len(runs), LEAST_PASS)], odometry) for rows, odometry in runs]
-    total, done = sum(len(rows) for rows, _ in runs), 0
+    parts = [images.select(rows) for rows, _ in runs]
     seen: list[tuple[list[Poses], np.ndarray, Sequence[Sequence[VerifiedPose]]]] = []
-    for rows, _ in runs:
-        some, samples = images.select(rows), []
-        for poses in predict(network, some, NUM_SAMPLES, seed):
-            samples.append(poses)
-            advance(done + len(samples), total)
-        done += len(samples)
+    for (rows, _), some, samples in zip(runs, parts, predict_all(network, parts, seed, advance), strict=True):
         scores = ood_model.ood_score(extract_features(network, some)) if ood_model else np.zeros(len(rows))
         of_landmarks: list[Sequence[VerifiedPose]] = [() for _ in rows]
         if landmarks is not None:
             for i, row in enumerate(rows.tolist()):
                 coarse = posterior_of(samples[i], fitted.errors, float(scores[i]))
-                of_landmarks[i] = landmarks.found(images, row, coarse.means[np.argsort(-coarse.weights, kind="stable")])
+                of_landmarks[i] = landmarks.found(images, row, coarse)
         seen.append((samples, scores, of_landmarks))
 
     def tried(errors: MeasurementNoise) -> list[Followed]:

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from filtering.mapped_views import MappedViews
+from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from vapor.calibration.calibrate import NUM_SAMPLES
 from vapor.calibration.camera_fit import fit_camera
@@ -170,7 +171,7 @@ class HeldOutLandmarks:
         seen, which, depth_m = [], [], landmarks.built.material.depth_m
         for row, samples, score in zip(rows, predict(network, some, NUM_SAMPLES, config.seed), scores, strict=True):
             posterior = posterior_of(samples, calibration.errors, float(score))
-            found = held.found(split.source, int(row), posterior.means[np.argsort(-posterior.weights, kind="stable")])
+            found = held.found(split.source, int(row), posterior)
             if found:
                 which.append(int(row))
                 truth = split.source.poses[int(row)]
@@ -188,8 +189,8 @@ class HeldOutLandmarks:
         mistaken = max(outlier_lengths(weights, travel, lengths), _NEW_VIEW * depth_m / own.length_m)
         return replace(held, verification=verification, none_right=wrong, outlier_lengths=mistaken)
 
-    def found(self, images: TrainingSet, row: int, proposed: Poses | None = None) -> list[VerifiedPose]:
-        """Verified poses of an image, as if it were new to the map everywhere.
+    def found(self, images: TrainingSet, row: int, posterior: PosePosterior) -> list[VerifiedPose]:
+        """Verified poses of an image with this posterior, as if it were new to the map everywhere.
 
         Key images are hidden around the true pose. So that similar places have no advantage, their corresponding key
         images are ignored, too.
@@ -197,6 +198,7 @@ class HeldOutLandmarks:
         if not len(images.views):
             return []
         localizer, truth = self.localizer, images.poses[row]
+        proposed = posterior.means[np.argsort(-posterior.weights, kind="stable")]
         features = localizer.features(images.views[images.rows[row]])
         found = localizer.localize(features, proposed)
         ignored = np.zeros(len(localizer.landmarks.poses), bool)

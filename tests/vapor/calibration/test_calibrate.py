@@ -25,7 +25,6 @@ from vapor.regressors.scene_box import SceneBox
 from vapor.regressors.variational import VariationalPoseRegressor
 from vapor.tensor_files import read_safetensors
 from vapor.track import main
-from vapor.training import check as training_check
 from vapor.training.config import TrainConfig
 from vapor.training.train import train_on
 from vapor.training_data.load import load_training_set
@@ -40,8 +39,7 @@ def network_for(images):
 
 @pytest.fixture(autouse=True)
 def few_samples(monkeypatch):
-    for module in (calibrate_module, training_check):
-        monkeypatch.setattr(module, "NUM_SAMPLES", 100)
+    monkeypatch.setattr(calibrate_module, "NUM_SAMPLES", 100)
 
 
 def test_too_few_images_keep_the_calibration_and_say_so():
