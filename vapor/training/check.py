@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Int64
+from jaxtyping import Bool, Float64, Int64
 
 from filtering.config import LocalizerConfig
 from filtering.measurement_noise import MeasurementNoise
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
+from sequences.odometry_fit.result import OdometryFit
 from vapor.calibration.calibrate import CalibrationResult, predict_all
 from vapor.calibration.ood_model import extract_features
 from vapor.checkpoints.calibration import Calibration
@@ -70,54 +71,57 @@ def check(
         return None, fitted
     runs = [(rows[: max(_MOST_IMAGES // len(runs), LEAST_PASS)], odometry) for rows, odometry in runs]
     parts = [images.select(rows) for rows, _ in runs]
-    seen: list[tuple[list[Poses], np.ndarray, Sequence[Sequence[VerifiedPose]]]] = []
-    for (rows, _), some, samples in zip(runs, parts, predict_all(network, parts, seed, advance), strict=True):
+    passes = []
+    for (rows, odometry), some, samples in zip(runs, parts, predict_all(network, parts, seed, advance), strict=True):
         scores = ood_model.ood_score(extract_features(network, some)) if ood_model else np.zeros(len(rows))
-        of_landmarks: list[Sequence[VerifiedPose]] = [() for _ in rows]
+        found_poses: list[Sequence[VerifiedPose]] = [() for _ in rows]
         if landmarks is not None:
             for i, row in enumerate(rows.tolist()):
                 coarse = posterior_of(samples[i], fitted.errors, float(scores[i]))
-                of_landmarks[i] = landmarks.found(images, row, coarse)
-        seen.append((samples, scores, of_landmarks))
+                found_poses[i] = landmarks.found(images, row, coarse)
+        passes.append(_Pass(some, odometry[: len(rows)], samples, scores, found_poses))
 
-    def tried(errors: MeasurementNoise) -> list[Followed]:
-        fit = fitted.odometry
-        config = LocalizerConfig() if fit is None else replace(LocalizerConfig(), odometry_bias=fit.odometry_bias)
-        followed = []
-        for (rows, odometry), of_run in zip(runs, seen, strict=True):
-
-            def posterior(
-                image: int,
-                of_run: tuple[list[Poses], np.ndarray, Sequence[Sequence[VerifiedPose]]] = of_run,
-                errors: MeasurementNoise = errors,
-            ) -> PosePosterior:
-                samples, scores, verified_poses = of_run
-                coarse = posterior_of(samples[image], errors, float(scores[image]))
-                if landmarks is None:
-                    return coarse
-                return verified(coarse, verified_poses[image], landmarks.verification, landmarks.mapped)
-
-            segment = Segment(images.times_ns[rows], odometry[: len(rows)], images.poses[rows], posterior)
-            segment = segment.restated(fit)
-            rng = np.random.default_rng(seed)
-            followed.append(follow(segment, errors, config, rng=rng, baselines=("kalman",)))
-        return followed
-
-    followed, kept = tried(fitted.errors), fitted.errors
-    found = _summed(followed)
-    if found.worse or found.overconfident:
-        others = [(factor, False, _inflated(fitted.errors, factor)) for factor in _WIDER]
-        others.append((1.0, True, replace(default_errors(scene), verified=fitted.errors.verified)))
-        for inflation, assumed, errors in others:
-            again = tried(errors)
-            other = replace(_summed(again), inflation=inflation, assumed=assumed)
-            if other.rank > found.rank:
-                found, followed, kept = other, again, errors
-            if not (found.worse or found.overconfident):
-                break
+    candidates = [(1.0, False, fitted.errors)]
+    candidates += [(factor, False, _inflated(fitted.errors, factor)) for factor in _WIDER]
+    candidates.append((1.0, True, replace(default_errors(scene), verified=fitted.errors.verified)))
+    found, followed, kept = None, [], fitted.errors
+    for inflation, assumed, errors in candidates:
+        again = [each.followed(errors, fitted.odometry, landmarks, seed) for each in passes]
+        other = replace(_summed(again), inflation=inflation, assumed=assumed)
+        if found is None or other.rank > found.rank:
+            found, followed, kept = other, again, errors
+        if not (found.worse or found.overconfident):
+            break
+    assert found is not None
     smoothed = [each.poses_at_end()["smoothed"] for each in followed]
     found = replace(found, methods={**found.methods, "smoothed": _figures(followed, smoothed)})
     return replace(found, verdict=verdict(found, result)), replace(fitted, errors=kept)
+
+
+@dataclass(frozen=True)
+class _Pass:
+    """A held-out pass, with the results of network and landmarks for each of its images."""
+
+    images: TrainingSet
+    odometry: tuple[Odometry | None, ...]
+    samples: list[Poses]
+    scores: Float64[np.ndarray, " n"]
+    verified_poses: list[Sequence[VerifiedPose]]
+
+    def followed(
+        self, errors: MeasurementNoise, fit: OdometryFit | None, landmarks: HeldOutLandmarks | None, seed: int
+    ) -> Followed:
+        """The filter along the pass, with these errors of images."""
+        config = LocalizerConfig() if fit is None else replace(LocalizerConfig(), odometry_bias=fit.odometry_bias)
+
+        def posterior(image: int) -> PosePosterior:
+            coarse = posterior_of(self.samples[image], errors, float(self.scores[image]))
+            if landmarks is None:
+                return coarse
+            return verified(coarse, self.verified_poses[image], landmarks.verification, landmarks.mapped)
+
+        segment = Segment(self.images.times_ns, self.odometry, self.images.poses, posterior).restated(fit)
+        return follow(segment, errors, config, rng=np.random.default_rng(seed), baselines=("kalman",))
 
 
 def _inflated(errors: MeasurementNoise, factor: float) -> MeasurementNoise:
