@@ -22,7 +22,7 @@ from vapor.training import memory as training_memory
 from vapor.training.augment import AugmentConfig
 from vapor.training.holding_out import hold_out
 from vapor.training.memory import VARIANTS, extract_training_features
-from vapor.training.presets import METHODS, PRESETS
+from vapor.training.presets import METHODS
 from vapor.training.state import start
 from vapor.training.train import train_on
 from vapor.training.trainer import fitting_epochs
@@ -105,26 +105,6 @@ def test_what_is_hidden_has_no_weight():
     torch.testing.assert_close(mixture.log_weights.exp().sum(dim=1), torch.ones(5))
 
 
-def test_without_a_memory_the_network_says_so():
-    network = RetrievalRegressor(SMALL, BOX)
-    with pytest.raises(RuntimeError, match="nothing is remembered"):
-        network(torch.zeros(1, 3, 32, 32), torch.zeros(1, 5, network.noise_dim))
-
-
-@torch.no_grad()
-def test_in_another_unit_of_length_everything_is_as_many_times_as_large():
-    network, features, poses = made()
-    large = RetrievalRegressor(SMALL, SceneBox((-60.0, -30.0, 0.0), (60.0, 90.0, 30.0)))
-    large.load_state_dict(network.state_dict())
-    rotation = torch.from_numpy(poses.rotation).float()
-    large.remember(features, torch.from_numpy(30.0 * poses.translation).float(), rotation)
-    query = torch.randn(3, features.shape[1])
-    small, scaled = network.components(query), large.components(query)
-    torch.testing.assert_close(scaled.translation, 30.0 * small.translation, rtol=1e-4, atol=1e-4)
-    torch.testing.assert_close(scaled.widths[..., 0], 30.0 * small.widths[..., 0])
-    torch.testing.assert_close(scaled.widths[..., 1], small.widths[..., 1])
-
-
 def test_the_backbone_never_changes():
     network, _, poses = made()
     before = {name: value.clone() for name, value in network.backbone.state_dict().items()}
@@ -167,21 +147,6 @@ def test_an_image_is_hidden_from_its_own_pass_and_shown_to_others():
     assert (hidden == (ahead < 1.0))[same & shared[:, None]].all()  # another walk shows these
     assert (hidden == (ahead < 0.2))[same & ~shared[:, None]].all()  # and nothing else these: they learn of their own
     assert hidden[50].sum() > hidden[215].sum() >= 1
-
-
-def test_numbers_are_standardised_once_and_images_that_were_seen_are_not_looked_at_again(monkeypatch):
-    images = load_training_set({"a": walk(60, begin=0, seed=1)}, (36, 36))
-    network = RetrievalRegressor(SMALL, BOX)
-    seen = extract_training_features(network, images.select(np.arange(40)))
-    assert seen.features.float().mean(dim=0).abs().max() < 0.01
-    assert network.standardised
-    looked, extract = [], network.extract_features
-    monkeypatch.setattr(network, "extract_features", lambda x: (looked.append(len(x)), extract(x))[1])
-    everything = extract_training_features(network, images, seen)
-    assert sum(looked) == 20
-    assert torch.equal(everything.features[:40], seen.features)
-    fresh = extract_training_features(network, images).features
-    torch.testing.assert_close(everything.features.float(), fresh.float(), atol=0.02, rtol=0.01)
 
 
 def test_images_are_varied_in_a_few_ways_each_found_once(monkeypatch):
@@ -314,15 +279,3 @@ def test_a_damaged_memory_is_refused(whole, tmp_path, name, change, said):
     write_safetensors(file, tensors, metadata)
     with pytest.raises(CheckpointError, match=said):
         load_checkpoint(file)
-
-
-def test_auto_remembers_and_every_method_can_be_had_with_it():
-    assert PRESETS["auto"].network.head == "retrieval"
-    variational = METHODS["variational"](PRESETS["auto"])
-    assert variational.network.head == "variational"
-    assert (variational.finish, variational.select_by) == (TINY.finish, "sample_recall")
-    assert variational.network.feature_dim == NetworkConfig().feature_dim
-    assert METHODS["mixture-10"](PRESETS["auto"]).network.components == 10
-    given = METHODS["retrieval"](replace(TINY, pretrained_weights=Path("x.safetensors")))
-    assert given.network.backbone == "resnet18-quarter"
-    assert METHODS["retrieval"](TINY).network.backbone == "efficientnet-lite0"
