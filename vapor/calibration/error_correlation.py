@@ -91,6 +91,19 @@ def fit_decay(
     return float((weights * np.square(products - fraction * kernel)).sum()), fraction
 
 
+def best_decay(
+    apart: Float64[np.ndarray, " k"],
+    products: Float64[np.ndarray, " k"],
+    weights: Float64[np.ndarray, " k"] | float,
+    lengths: Float64[np.ndarray, " l"],
+    limits: tuple[float, float] = (0.0, 1.0),
+) -> tuple[float, float]:
+    """The length, and the fraction, of the best fit of fraction · exp(−apart / length) to products of pairs."""
+    costs, fractions = zip(*(fit_decay(apart / length, products, weights, limits) for length in lengths), strict=True)
+    best = int(np.argmin(costs))
+    return float(lengths[best]), fractions[best]
+
+
 def fit_error_correlation(
     residual: Float64[np.ndarray, "n 6"],
     usable: Bool[np.ndarray, " n"],
@@ -183,11 +196,8 @@ def outlier_lengths(
     apart, products = apart[near], (value[first] * value[second])[near]
     if len(products) < LEAST_PAIRS:
         return 1.0
-    best, vote, new = np.inf, 1.0, min(float(np.median(steps)), 1.0)
-    for lengths in _MISTAKEN:
-        cost, fraction = fit_decay(apart / lengths, products, 1.0)
-        if cost < best:
-            best, vote = cost, (1.0 - fraction) * new + 2.0 * fraction * float(lengths)
+    lengths, fraction = best_decay(apart, products, 1.0, _MISTAKEN)
+    vote = (1.0 - fraction) * min(float(np.median(steps)), 1.0) + 2.0 * fraction * lengths
     if same_conditions:
         return float(np.clip(vote, _LEAST_VOTE, _MOST_MISTAKEN))
     return float(np.clip(1.0 + _ANOTHER_HOUR * (vote - 1.0), _LEAST_MISTAKEN, _MOST_MISTAKEN))

@@ -15,8 +15,8 @@ from vapor.calibration.error_correlation import (
     LEAST_PAIRS,
     ErrorCorrelation,
     Travel,
+    best_decay,
     effective_images,
-    fit_decay,
     pairs_of_images,
 )
 from vapor.calibration.image_errors import LEAST_IMAGES, cautious, most_likely_errors
@@ -32,7 +32,7 @@ _END = 0.25  # fraction of a stretch at either end whose images are not localize
 _ENOUGH = 0.5  # least fraction of verified images: else shorter stretches are hidden
 _IMAGES, _TRIED = 200, 40  # localized images, and images by which the length of stretches is chosen
 _DEPTH_RAD = 2.0 * np.deg2rad(25.0)  # a turn that changes the view as much as a depth moved
-_LENGTHS, _USUAL_LENGTH = np.geomspace(0.05, 3.0, 13).tolist(), 0.4  # correlation lengths of errors, in depths
+_LENGTHS, _USUAL_LENGTH = np.geomspace(0.05, 3.0, 13), 0.4  # correlation lengths of errors, in depths
 _LEAST_CORRELATED, _MOST_CORRELATED = 0.5, 0.95  # of the variance
 _NONE_RIGHT = 0.05  # outlier probability before held-out images are seen
 _HELD = 0.9  # the region of this probability holds at least this fraction of the true poses
@@ -227,9 +227,5 @@ def _error_correlation(
     apart = unit.between(travel, first, second)
     products = np.vecdot(residual[first], residual[second]) / max(float(np.square(residual).sum(axis=1).mean()), 1e-300)
     weights = 1.0 / (second - first)  # neighbours as much as all that are ten times as far from each other
-    best, found = np.inf, unit
-    for length in _LENGTHS:
-        cost, fraction = fit_decay(apart / length, products, weights, (_LEAST_CORRELATED, _MOST_CORRELATED))
-        if cost < best:
-            best, found = cost, ErrorCorrelation(fraction, length * depth_m, length * _DEPTH_RAD)
-    return found
+    length, fraction = best_decay(apart, products, weights, _LENGTHS, (_LEAST_CORRELATED, _MOST_CORRELATED))
+    return ErrorCorrelation(fraction, length * depth_m, length * _DEPTH_RAD)

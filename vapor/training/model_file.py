@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any, Literal
 
@@ -45,7 +45,7 @@ class HeldOutFindings:
         """JSON for the model file."""
         if self.calibrated is None:
             return {}
-        return {"calibration": self.calibrated.provenance, "check": self.check.as_json if self.check else None}
+        return {"calibration": self.calibrated.provenance, "check": asdict(self.check) if self.check else None}
 
 
 def calibrate_and_check(

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
-from typing import Any, Literal
+from dataclasses import dataclass, field
+from typing import Literal
 
 from vapor.calibration.calibrate import CalibrationResult
 from vapor.checkpoints.checkpoint import Checkpoint
@@ -129,11 +129,6 @@ class TrainingCheck:
         if self.overconfident and self.coverage is not None:
             held = self.coverage["95%"]
         return not self.overconfident, held, not self.worse
-
-    @property
-    def as_json(self) -> dict[str, Any]:
-        """For the model file."""
-        return asdict(self)
 
 
 def verdict(found: TrainingCheck, result: CalibrationResult) -> str:

@@ -6,7 +6,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import IO
+from typing import IO, NamedTuple
 
 import numpy as np
 from jaxtyping import UInt8
@@ -53,14 +53,10 @@ def load_training_set(
     Raises:
         TrainingError: a sequence without posed frames, a pose that is not finite, or images of different aspect.
     """
-    matrices: list[np.ndarray] = []
-    sources: list[tuple[int, int]] = []
+    rows: list[_Row] = []
     skipped: Counter[str] = Counter()
     notices: list[str] = []
-    times_ns: list[int] = []
-    odometry: list[Odometry | None] = []
     colours: dict[str, Colours] = {}
-    points: list[SeenPoints | None] = []
     shape: tuple[int, ...] | None = None
     camera = camera or _commonest_camera(sequences)
     camera_size = (camera.width, camera.height) if camera else None
@@ -69,7 +65,7 @@ def load_training_set(
         grey = GreyViews(view_camera or camera, grey_file) if views else None
         for index, (name, frames) in enumerate(sequences.items()):
             follows = False
-            num_before, agreeing = len(sources), Views()
+            num_before, agreeing = len(rows), Views()
             given = frames.seen_points() if views and isinstance(frames, PosedFrames) else {}
             colours[name] = Colours()
             for frame in frames:
@@ -85,7 +81,7 @@ def load_training_set(
                 image = centre_crop(image, *as_taken.frame_size) if central else image
                 shape = shape or image.shape
                 if image.shape != shape:
-                    number = len(sources) - num_before + 1
+                    number = len(rows) - num_before + 1
                     raise TrainingError(
                         f"{name}: image {number}, at {frame.time_ns} ns, is {image.shape[1]} x {image.shape[0]} after"
                         f" scaling, expected {shape[1]} x {shape[0]} as the first (or augment.crop central)"
@@ -97,14 +93,12 @@ def load_training_set(
                 if grey is not None:
                     grey.take(frame)
                 of_image = given.pop(frame.time_ns, None) if frame.camera is not None else None
-                points.append(of_image and replace(of_image, point=of_image.point + index * POINTS_OF_A_MODEL))
-                matrices.append(frame.world_from_camera.as_matrix())
-                sources.append((index, frame.sequence))
-                times_ns.append(frame.time_ns)
-                odometry.append(frame.odometry if follows else None)
+                points = of_image and replace(of_image, point=of_image.point + index * POINTS_OF_A_MODEL)
+                step = frame.odometry if follows else None
+                rows.append(_Row((index, frame.sequence), frame.time_ns, frame.world_from_camera, step, points))
                 follows = True
-                progress(len(sources))
-            if len(sources) == num_before:
+                progress(len(rows))
+            if len(rows) == num_before:
                 raise TrainingError(f"{name}: no image with a true pose, expected at least one")
             if isinstance(frames, PosedFrames):
                 skipped += frames.skipped
@@ -113,15 +107,16 @@ def load_training_set(
         if shape is None or camera_size is None or as_taken is None:
             raise TrainingError("no training data, expected at least one sequence")
         file.flush()
-        images = np.memmap(file, np.uint8, mode="r", shape=(len(sources), *shape))
+        images = np.memmap(file, np.uint8, mode="r", shape=(len(rows), *shape))
         kept, view_camera = (grey.kept(), grey.camera) if grey else (np.zeros((0, 1, 1), np.uint8), None)
-    poses = Poses.from_matrix(np.stack(matrices))
+    sources, times_ns, poses, odometry, points = (list(column) for column in zip(*rows, strict=True))
+    poses = Poses.stack(poses)
     notices += said_of_colours(colours)
     notices += [*_of_cameras(as_taken, len(sources)), *too_far(poses)]
     begins = np.any(np.diff(np.array(sources), axis=0, prepend=[sources[0]]) != 0, axis=1)
     return TrainingSet(
         images,
-        np.arange(len(sources)),
+        np.arange(len(rows)),
         poses,
         np.cumsum(begins),
         _sequence_names(list(sequences), [sources[i] for i in [0, *np.flatnonzero(begins)]]),
@@ -135,6 +130,14 @@ def load_training_set(
         view_camera,
         tuple(points) if any(points) else (),
     )
+
+
+class _Row(NamedTuple):
+    source: tuple[int, int]  # numbers of the file or folder, and of the sequence in it
+    time_ns: int
+    pose: Poses
+    odometry: Odometry | None
+    points: SeenPoints | None
 
 
 def _commonest_camera(sequences: Mapping[str, Iterable[Frame]]) -> Camera | None:

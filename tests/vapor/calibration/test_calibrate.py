@@ -1,7 +1,7 @@
 """Calibration of a network on held-out images: from data to a model file."""
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -122,7 +122,7 @@ def test_training_calibrates_at_its_end_and_stores_values_and_gains(tmp_path):
     assert list(dict.fromkeys(stages)) == ["reading", "holding out", "training", "calibrating", "checking"]
     stored = load_checkpoint(tmp_path / "m.safetensors")
     assert result.check is not None
-    assert stored.training["check"] == json.loads(json.dumps(result.check.as_json))
+    assert stored.training["check"] == json.loads(json.dumps(asdict(result.check)))
     assert stored.training["check"]["images"] == 60
     if result.check.inflation == 1.0 and not result.check.assumed:
         assert stored.calibration == calibrated.calibration
