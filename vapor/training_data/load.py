@@ -109,8 +109,8 @@ def load_training_set(
         file.flush()
         images = np.memmap(file, np.uint8, mode="r", shape=(len(rows), *shape))
         kept, view_camera = (grey.kept(), grey.camera) if grey else (np.zeros((0, 1, 1), np.uint8), None)
-    sources, times_ns, poses, odometry, points = (list(column) for column in zip(*rows, strict=True))
-    poses = Poses.stack(poses)
+    sources, points = [row.source for row in rows], tuple(row.points for row in rows)
+    poses = Poses.stack([row.pose for row in rows])
     notices += said_of_colours(colours)
     notices += [*_of_cameras(as_taken, len(sources)), *too_far(poses)]
     begins = np.any(np.diff(np.array(sources), axis=0, prepend=[sources[0]]) != 0, axis=1)
@@ -121,14 +121,14 @@ def load_training_set(
         np.cumsum(begins),
         _sequence_names(list(sequences), [sources[i] for i in [0, *np.flatnonzero(begins)]]),
         camera_size,
-        np.array(times_ns, np.int64),
-        tuple(odometry),
+        np.array([row.time_ns for row in rows], np.int64),
+        tuple(row.odometry for row in rows),
         skipped,
         tuple(notices),
         as_taken.camera,
         kept,
         view_camera,
-        tuple(points) if any(points) else (),
+        points if any(points) else (),
     )
 
 
