@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
-from copy import deepcopy
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, cast
@@ -15,15 +14,13 @@ from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.checkpoints.file_format import save_checkpoint
 from vapor.regressors.scene_box import SceneBox
 from vapor.training.config import TrainConfig
-from vapor.training.epoch import features_for
 from vapor.training.holding_out import hold_out, within_map
 from vapor.training.landmarks import find_landmarks
-from vapor.training.memory import remember
 from vapor.training.model_file import calibrate_and_check, model_checkpoint
 from vapor.training.processes import from_first, is_first, require_shares
 from vapor.training.progress import Progress, ProgressCallback, TrainResult
 from vapor.training.state import Saving, initial_model, share_state, start, state_path
-from vapor.training.trainer import Trainer, fitting_epochs, weights_of
+from vapor.training.trainer import Trainer, fitting_epochs
 from vapor.training_data.checks import require_variety, too_few
 from vapor.training_data.entries import open_sequences, require_no_leakage
 from vapor.training_data.load import load_training_set
@@ -150,42 +147,21 @@ def _train(
     share_state(state)
     report(Progress("holding out", len(split.held_out), notes=tuple(split.notes)))
     state.epochs = state.epochs or config.epochs or from_first(fitting_epochs(state, split, len(evaluated), config))
-    trainer = Trainer(state, split, replace(config, epochs=state.epochs), report)
-
-    while state.epoch < state.epochs:
-        loss = trainer.epoch()
-        if is_first():
-            trainer.evaluate(evaluated, loss)
-            saving.save(state, last=state.epoch == state.epochs)
-    model, found, landmarks, of_landmarks = deepcopy(state.average), None, None, ()
-    features = features_for(state, split.training)
+    trainer = Trainer(state, split, replace(config, epochs=state.epochs), saving, report)
+    model, found, of_landmarks = trainer.learn(), None, ()
     if is_first():
-        model.load_state_dict(state.best or weights_of(trainer.kept))
-        remember(model, features)
         landmarks, of_landmarks = find_landmarks(
             split.everything, config.camera, lambda *where: report(Progress("landmarks", *where))
         )
         found = calibrate_and_check(model, split, config, landmarks, lambda *where: report(Progress(*where)))
 
-    if trainer.goes_on and state.epoch == state.epochs:
-        for network in (state.network, state.average):
-            network.load_state_dict(model.state_dict())
-        share_state(state)
-    while state.epoch < trainer.epochs:
-        trainer.epoch()
-        if is_first():
-            saving.save(state)
-    learned = split.everything if trainer.goes_on else split.training
-    features = features_for(state, learned)
+    learned = trainer.finish(model)
     if found is None:
-        return from_first(cast(TrainResult, None))  # which the first process has
-    if trainer.goes_on:
-        model.load_state_dict(weights_of(trainer.kept))
-    remember(model, features)
+        return from_first(cast(TrainResult, None))  # the result is the first process'
     provenance = {
         **names,
         "training_images": len(learned),
-        "images_seen": trainer.images_seen(state.epoch),
+        "images_seen": trainer.images_seen,
         "seed": config.seed,
         "config": _settings(trainer.config),
         "selected_by": config.select_by if trainer.best else "last epoch",
@@ -204,7 +180,7 @@ def _train(
             tuple(state.history),
             trainer.best,
             state.seconds,
-            trainer.images_seen(state.epoch),
+            trainer.images_seen,
             found.calibrated,
             found.check,
             skipped + split.held_out.skipped if apart else skipped,

@@ -15,12 +15,13 @@ from vapor.checkpoints.calibration import Calibration
 from vapor.evaluation.validation import Validation, validate
 from vapor.regressors.base import PoseRegressor
 from vapor.training.config import TrainConfig
-from vapor.training.epoch import train_epoch
+from vapor.training.epoch import features_for, train_epoch
 from vapor.training.holding_out import Split
 from vapor.training.memory import VARIANTS, features_of, remember
+from vapor.training.processes import is_first
 from vapor.training.progress import Progress, ProgressCallback
 from vapor.training.schedule import evaluation_interval, finishing, step_cost, steps_in_epoch
-from vapor.training.state import TrainingState
+from vapor.training.state import Saving, TrainingState, share_state
 from vapor.training_data.training_set import TrainingSet
 
 _FEWEST = 4  # epochs
@@ -39,8 +40,10 @@ class Trainer:
         best: Figures of the best epoch so far.
     """
 
-    def __init__(self, state: TrainingState, split: Split, config: TrainConfig, report: ProgressCallback) -> None:
-        self.state, self.config = state, config
+    def __init__(
+        self, state: TrainingState, split: Split, config: TrainConfig, saving: Saving, report: ProgressCallback
+    ) -> None:
+        self.state, self.config, self._saving = state, config, saving
         more = len(split.everything) > len(split.training)
         self.goes_on = bool(split.held_out_mask.any()) and config.finish > 0 and more
         self.epochs = state.epochs + (finishing(config).known_epochs if self.goes_on else 0)
@@ -49,15 +52,48 @@ class Trainer:
         self._features: Tensor | None = None  # of the held-out images, by a backbone that does not learn
 
     @property
-    def kept(self) -> PoseRegressor:
+    def images_seen(self) -> int:
+        """Number of images in the epochs so far."""
+        return sum(len(self._images(epoch)) for epoch in range(self.state.epoch))
+
+    def learn(self) -> PoseRegressor:
+        """Learn from images that are not held out; returns the best network, in the first process, to be evaluated."""
+        state, evaluated = self.state, self._split.evaluated(self.config.validation_images)
+        while state.epoch < state.epochs:
+            loss = self._epoch()
+            if is_first():
+                self._evaluate(evaluated, loss)
+                self._saving.save(state, last=state.epoch == state.epochs)
+        model, features = deepcopy(state.average), features_for(state, self._split.training)
+        if is_first():
+            model.load_state_dict(state.best or weights_of(self._kept))
+            remember(model, features)
+        return model
+
+    def finish(self, model: PoseRegressor) -> TrainingSet:
+        """Let an evaluated model learn from everything, if that is configured; returns the images it learned from."""
+        state, learned = self.state, self._split.everything if self.goes_on else self._split.training
+        if self.goes_on and state.epoch == state.epochs:
+            for network in (state.network, state.average):
+                network.load_state_dict(model.state_dict())
+            share_state(state)
+        while state.epoch < self.epochs:
+            self._epoch()
+            if is_first():
+                self._saving.save(state)
+        features = features_for(state, learned)
+        if is_first():
+            if self.goes_on:
+                model.load_state_dict(weights_of(self._kept))
+            remember(model, features)
+        return learned
+
+    @property
+    def _kept(self) -> PoseRegressor:
         """The network whose weights become the model's."""
         return self.state.average if self.config.ema_decay else self.state.network
 
-    def images_seen(self, epochs: int) -> int:
-        """Number of images in the first `epochs` epochs."""
-        return sum(len(self._images(epoch)) for epoch in range(epochs))
-
-    def epoch(self) -> float:
+    def _epoch(self) -> float:
         """Learn from all images once; returns the mean loss."""
         state, begin_s = self.state, perf_counter()
         finished = state.epoch >= state.epochs
@@ -82,7 +118,7 @@ class Trainer:
         state.seconds += perf_counter() - begin_s
         return loss
 
-    def evaluate(self, held_out: TrainingSet, loss: float) -> None:
+    def _evaluate(self, held_out: TrainingSet, loss: float) -> None:
         """Compare the weights with the best so far, except between two evaluations and while images are small.
 
         `loss` is the mean loss of the epoch.
@@ -92,7 +128,7 @@ class Trainer:
         small = step_cost(config, state.epoch - 1) < 1.0
         if not len(held_out) or small or (state.epoch % interval and state.epoch < state.epochs):
             return
-        kept = self.kept
+        kept = self._kept
         remember(kept, state.features)
         if self._features is None and kept.recalling is not None:
             self._features = features_of(kept.recalling, held_out)
