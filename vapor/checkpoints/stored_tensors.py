@@ -111,7 +111,10 @@ def _require_rotations(path: Path, name: str, rotation: np.ndarray) -> None:
 def _take_arrays(
     path: Path, tensors: dict[str, StoredTensor], prefix: str, kind: type, sizes: dict[str, int]
 ) -> dict[str, np.ndarray]:
-    """Arrays of a dataclass' fields, checked against their annotations: one letter is one size, in all of them."""
+    """Arrays of a dataclass' fields, checked against their annotations, in which equal names of axes are equal sizes.
+
+    `sizes` has the axes of known size.
+    """
     arrays = {}
     for name, hint in get_type_hints(kind).items():
         if name in _NO_ARRAYS:
