@@ -296,7 +296,8 @@ def said_of_views(name: str, checks: Sequence[ViewCheck]) -> list[str]:
         )
     for check in [check for check in checks if check.focal is not None][:1]:
         odometry = "" if check.by == "true poses" else ", or odometry has turns too large or too small"
-        others = ", while true poses and images agree," if any(other.by != check.by for other in right) else ""
+        fine = odometry and any(other.by == "true poses" for other in right)
+        others = ", while true poses and images agree," if fine else ""
         notices.append(
             f"{name}: by {check.by}{others} the images move as through a focal length {check.focal:.2f} times the"
             " stated one: the intrinsics are wrong (camera_info, intrinsics.json), or images were scaled or cropped"
