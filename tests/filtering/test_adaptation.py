@@ -7,10 +7,10 @@ import pytest
 from scipy.stats import chi2
 
 from filtering.adaptation import ErrorScale
-from filtering.cameras import View
 from filtering.config import GapConfig, LocalizerConfig
 from filtering.kalman import KalmanConfig, KalmanLocalizer
 from filtering.localizer import ParticleLocalizer
+from filtering.observation import View
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from tests.helpers.modelled_walk import (

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from filtering.cameras import View
 from filtering.config import GapConfig, LocalizerConfig
 from filtering.density import KernelDensity
 from filtering.errors import VaporTrackError
@@ -14,6 +13,7 @@ from filtering.kalman import KalmanConfig
 from filtering.localizer import ParticleLocalizer
 from filtering.measurement_noise import MeasurementNoise
 from filtering.motion import Odometry, OdometryBias, require_odometry
+from filtering.observation import View
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from filtering.smoothing import SmoothingConfig
