@@ -188,7 +188,8 @@ class KeptNetwork:
     """The file of a model's compiled network: one for each precision and processor, replaced when the model changes."""
 
     def __init__(self, model: ModelDescription, precision: Precision) -> None:
-        place = hashlib.sha256(f"{model.file and model.file.resolve()}\n{precision}\n{processor()}".encode())
+        assert model.file is not None
+        place = hashlib.sha256(os.fsencode(model.file.resolve()) + f"\n{precision}\n{processor()}".encode())
         self.file = cache_folder() / f"{place.hexdigest()[:16]}.safetensors"
         self._made_of = {
             "network": model.network_sha256,
