@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -30,6 +30,7 @@ from vapor.checkpoints.scene_scale import log_clutter_density, scene_extent, spa
 from vapor.checkpoints.stored_tensors import NETWORK
 from vapor.engines.engine import Device, resolve_device
 from vapor.evaluation.validation import predict
+from vapor.landmarks.build import Advance
 from vapor.regressors.base import PoseRegressor
 from vapor.regressors.ood_model import OodModel
 from vapor.tensor_files import read_safetensors
@@ -93,9 +94,6 @@ def fit_widths(
     formerly: dict[str, float | Six] = dict(zip(names, before, strict=True))
     values: dict[str, float | Six] = dict(zip(names, (width_m, width_rad), strict=True))
     return (width_m, width_rad), Change("kernel widths", formerly, values, score((width_m, width_rad)) - score(before))
-
-
-Advance = Callable[[int, int], None]
 
 
 def predict_all(network: PoseRegressor, parts: Sequence[TrainingSet], seed: int, advance: Advance) -> list[list[Poses]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -22,7 +22,7 @@ from vapor.calibration.error_correlation import (
 from vapor.calibration.image_errors import LEAST_IMAGES, cautious, most_likely_errors
 from vapor.calibration.places import Places
 from vapor.checkpoints.scene_scale import spaced
-from vapor.landmarks.build import BuiltMap, Material
+from vapor.landmarks.build import Advance, BuiltMap, Material
 from vapor.landmarks.localize import LandmarkLocalizer, VerifiedPose
 from vapor.landmarks.tracks import view_change
 
@@ -37,8 +37,6 @@ _LEAST_CORRELATED, _MOST_CORRELATED = 0.5, 0.95  # of the variance
 _NONE_RIGHT = 0.05  # outlier probability before held-out images are seen
 _HELD = 0.9  # the region of this probability holds at least this fraction of the true poses
 _RIGHT = 0.5, 0.35  # depths and radians, beyond which a pose is of another place
-
-Advance = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -22,7 +21,7 @@ from vapor.calibration.verified_errors import VerifiedErrors, fit_verified_error
 from vapor.checkpoints.calibration import Calibration
 from vapor.checkpoints.scene_scale import log_clutter_density, spaced
 from vapor.evaluation.validation import predict
-from vapor.landmarks.build import BuiltMap, Material, build, gather
+from vapor.landmarks.build import Advance, BuiltMap, Material, build, gather
 from vapor.landmarks.landmark_map import ViewCamera
 from vapor.landmarks.localize import LandmarkLocalizer, VerifiedPose
 from vapor.landmarks.verify import Verification
@@ -34,7 +33,6 @@ from vapor.training.holding_out import Split
 from vapor.training_data.ground import near_scale_m, pass_numbers
 from vapor.training_data.training_set import TrainingSet
 
-Advance = Callable[[int, int], None]
 _NONE = "no landmarks: {}; places stay as coarse as the network's"
 _IMAGES = 200
 _NEAR = 0.25, 0.2  # depths and radians: a verified pose so near to the true one is of the right place
