@@ -26,7 +26,7 @@ class AsTakenBy:
     """
 
     def __init__(self, camera: Camera | None, frame_size: tuple[int, int]) -> None:
-        """Set up for images that will be scaled to cover a frame of so many pixels, width and height."""
+        """Set up for images that will be scaled to cover a frame of this width and height, pixels."""
         self.camera, self.frame_size = camera, frame_size
         self.cameras: Counter[Camera] = Counter()
         self.least_fraction = 1.0

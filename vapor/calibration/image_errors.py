@@ -165,7 +165,7 @@ def growing_errors(
 
 
 def ordinary_score(score: Float64[np.ndarray, " n"]) -> float:
-    """The median score, at most that of an image out of distribution."""
+    """The median score, at most the threshold of images out of distribution."""
     return float(np.clip(np.median(score), LEAST_SCORE, OUT_OF_DISTRIBUTION))
 
 

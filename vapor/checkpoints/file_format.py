@@ -206,7 +206,7 @@ def is_onnx(path: Path) -> bool:
 
 
 def is_model(path: Path) -> bool:
-    """Whether the metadata of a file are those of a model of this package."""
+    """Whether a file is a model of this package, by its metadata."""
     return format_of(path) == FORMAT
 
 
@@ -214,7 +214,7 @@ def find_model(name_or_path: str) -> Path:
     """The file of a model: by a path, a URL, which is copied, or the name of a model that ships.
 
     Raises:
-        CheckpointError: neither a file nor a shipped model; lists those that ship.
+        CheckpointError: neither a file nor a shipped model; lists the shipped models.
     """
     path = fetched(local_path(name_or_path)) if is_url(name_or_path) else Path(name_or_path)
     if path.is_file():

@@ -80,7 +80,7 @@ class Options:
     paper's."""
     method: Method | None = None
     """The method: the variational regressor, one without its sampling or its KL divergence, or another one.
-    Default: that of the preset, which is retrieval for auto and variational for all others."""
+    Default: the preset's method, retrieval for auto and variational for all others."""
     config: Annotated[TrainConfig, tyro.conf.arg(name="")] = PRESETS["auto"]
     reading: Annotated[SequenceOptions, tyro.conf.arg(name="")] = field(default_factory=SequenceOptions)
 

@@ -31,7 +31,7 @@ class EngineConfig:
 
     @property
     def network(self) -> EngineConfig:
-        """These two settings alone, without those of a subclass."""
+        """These two settings alone, without the settings of a subclass."""
         return EngineConfig(self.engine, self.precision)
 
 
@@ -56,17 +56,17 @@ class Engine(Protocol):
 
     @property
     def name(self) -> EngineName:
-        """Which one it is."""
+        """Name of the engine."""
         ...
 
     @property
     def device(self) -> str:
-        """Where it runs: cpu or cuda."""
+        """Device of the engine: cpu or cuda."""
         ...
 
     @property
     def noise_dim(self) -> int:
-        """How many numbers of noise it takes for one posterior sample."""
+        """Number of normal numbers for one posterior sample."""
         ...
 
     def run(self, image: UInt8[np.ndarray, "h w 3"], noise: Float32[np.ndarray, "m d"]) -> Seen:

@@ -1,7 +1,7 @@
 """Models as ONNX files: the network as a graph, all else as metadata; read without the package onnx, and without torch.
 
 An ONNX file is a protocol buffer of numbered fields (github.com/onnx/onnx, onnx/onnx.proto). The fields that
-describe the model are few and come apart from the graph, which is skipped.
+describe the model are few and separate from the graph, which is skipped.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from vapor.tensor_files import CheckpointError, as_bytes, parse_stored
 
 CONFIG, ARRAYS, GRAPH = "vapor-track config", "vapor-track arrays", "vapor-track graph_sha256"
 """Names of the metadata: settings as JSON, for all to read; all of the description, as a safetensors file in base64;
-SHA-256 of all that comes before the metadata, which is the graph and the version of its operators."""
+SHA-256 of the content before the metadata, the graph and the version of its operators."""
 _METADATA_PROPS, _KEY, _VALUE = 14, 1, 2  # numbers of fields
 _BYTES_BY_WIRE = {1: 8, 5: 4}  # lengths of fields of fixed length, by their type
 _MOST_BYTES = 2**31  # of a protocol buffer
@@ -105,7 +105,7 @@ def _parts(content: bytes) -> tuple[memoryview, dict[str, str]]:
 
 
 def _fields(content: memoryview) -> Iterator[tuple[int, memoryview, int]]:
-    """Numbers and contents of a message's fields, and where they end; those that are numbers have no content.
+    """Numbers and contents of a message's fields, and where they end; fields that are numbers have no content.
 
     Raises:
         ValueError: no message, or one of very many fields.

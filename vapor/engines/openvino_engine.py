@@ -199,7 +199,7 @@ class KeptNetwork:
         }
 
     def read(self) -> Compiled | None:
-        """The compiled network; None where there is none that can be used."""
+        """The compiled network, if a usable one is kept."""
         with suppress(CheckpointError, ValueError, KeyError, TypeError):
             metadata, tensors = read_stored(self.file)
             config = json.loads(metadata["config"])

@@ -1,4 +1,4 @@
-"""Which engine runs a network: as asked for, or the faster one of those that are there; and that one, started."""
+"""The choice of the engine that runs a network, as asked for or the faster installed one; and its start."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def start_engine(
 
     "auto" takes OpenVINO on a processor where it is installed and was faster than torch when the network was compiled.
     That finding is kept with the compiled network, so that a model runs the same way every time; where nothing can be
-    kept, torch is taken. `threads` are those of OpenVINO; torch's are set by `limited_threads`.
+    kept, torch is taken. `threads` is for OpenVINO; torch's threads are set by `limited_threads`.
 
     Raises:
         VaporTrackError: an engine that is not installed, or does not go with the device, the precision or the model.

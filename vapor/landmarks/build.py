@@ -32,7 +32,7 @@ from vapor.landmarks.tracks import (
 VIEW_PX = 320
 """Longer edge of the images that features are found in."""
 _FEATURES, _LEAST_FEATURES, _MOST_FEATURES = 800, 250, 1_200_000  # of a key image, and of all
-_NEW_VIEW, _NEW_VIEW_RAD = 0.06, np.deg2rad(4.0)  # in depths: so much apart are two key images
+_NEW_VIEW, _NEW_VIEW_RAD = 0.06, np.deg2rad(4.0)  # least distance of key images, in depths and radians
 _MOST_KEYS = 6000
 _WORDS, _SUMMARY = 32, 64
 _SAMPLED, _OF_IMAGES = 20_000, 200  # descriptors, and their images, from which components and words are found
@@ -103,7 +103,7 @@ class BuiltMap:
     def hiding(self, hidden: Bool[np.ndarray, " k"]) -> LandmarkMap:
         """The map without the hidden key images: their sightings are dropped, and the points triangulated again.
 
-        Matches, basis and camera are those of all images.
+        Matches, basis and camera are of all images.
         """
         touched = np.zeros(len(self.points), bool)
         touched[self.sightings.point[hidden[self.sightings.view]]] = True

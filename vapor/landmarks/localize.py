@@ -22,7 +22,7 @@ from vapor.landmarks.landmark_map import LEAST_INLIERS, LandmarkMap
 from vapor.landmarks.points import by_pose, seen
 
 INLIER_PX = 3.0
-"""Matches whose point is seen within so many pixels agree with a pose."""
+"""Greatest distance, pixels, between a feature and the projection of its point that agree."""
 ROBUST_PX = 1.0
 """Scale of the robust (Cauchy) cost of refinements, pixels."""
 _LEAST_SUPPORT = 8  # least number of matches that agree with a pose
@@ -107,7 +107,7 @@ class LandmarkLocalizer:
         return Features(self.landmarks.camera.undistorted(reduced.pixels), reduced.descriptors)
 
     def localize(self, features: Features, proposed: Poses | None = None) -> list[VerifiedPose]:
-        """Verified poses, that of most landmarks first.
+        """Verified poses, by decreasing number of landmarks.
 
         Args:
             features: From `features`.

@@ -150,7 +150,7 @@ class LandmarkVerifier:
         errors: Of verified places, the model's `calibration.errors.verified`.
 
     Attributes:
-        latest: Verified poses of the latest image, that of most landmarks first.
+        latest: Verified poses of the latest image, by decreasing number of landmarks.
     """
 
     def __init__(self, landmarks: Landmarks, errors: MeasurementNoise) -> None:

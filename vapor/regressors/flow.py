@@ -27,7 +27,7 @@ _CIRCULAR = False, False, False, True, False, True  # x, y, z, a, c, g
 _TARGET_NOISE_M, _TARGET_NOISE_RAD = 0.05, 0.05  # six of the former are the least margin of a scene box
 _OCTAVES = 4  # of sines and cosines of a coordinate, on which the later ones depend
 _LEAST_WIDTH, _LEAST_HEIGHT = 1e-3, 1e-5  # of a bin: sharpest density, and resolution of float32
-_STEEPEST = 3.0  # log ratio of the slope at a knot and that of the bins beside it, at most
+_STEEPEST = 3.0  # greatest log ratio of the slope at a knot to the slopes of the bins beside it
 
 
 class FlowRegressor(DensityRegressor):

@@ -48,7 +48,7 @@ def repeated(
 ) -> tuple[Float[Tensor, "b m 3"], Float[Tensor, "b m 3 3"]]:
     """One pose of each image, `count` times; while a network is traced, `count` is a tensor."""
     translation, rotation = poses
-    counted: Any = count  # of which torch's type hints know the first kind only
+    counted: Any = count  # torch's type hints know whole numbers only
     return translation[:, None].expand(-1, counted, -1), rotation[:, None].expand(-1, counted, -1, -1)
 
 

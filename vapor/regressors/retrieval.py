@@ -185,7 +185,7 @@ class RetrievalRegressor(MixtureDensity):
     def loss(
         self, images: Images, true_translation: Positions, true_rotation: Rotations, noise: Noise, config: LossConfig
     ) -> Float[Tensor, ""]:
-        """The loss of images of which none is in memory."""
+        """The loss of images that are not in memory."""
         return self.loss_of_features(self.extract_features(images), true_translation, true_rotation, None)
 
     def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> RetrievalRegressor:

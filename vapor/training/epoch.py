@@ -163,7 +163,7 @@ def paired(
         return outside | (sequence[np.clip(there, 0, len(sequence) - 1)] != sequence[first])
 
     there = first + rng.choice([-1, 1], len(first)) * rng.integers(1, gap, len(first), endpoint=True)
-    there = np.where(missing(there), 2 * first - there, there)  # on the other side, where there is none on this
+    there = np.where(missing(there), 2 * first - there, there)  # on the other side of the first image
     return np.concatenate([first, np.where(missing(there), first, there)])
 
 

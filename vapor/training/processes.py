@@ -106,14 +106,14 @@ class Learner(nn.Module):
 def make_learner(network: PoseRegressor) -> nn.Module:
     """A module that gives the loss of this process' part of a batch; its gradients are averages of all parts.
 
-    On GPUs, BatchNorm takes the statistics of whole batches from now on; on processors, those of each part.
+    On GPUs, BatchNorm takes the statistics of whole batches from now on; on processors, the statistics of each part.
     """
     learner = Learner(network)
     if num_processes() == 1:
         return learner
     if network.pixel_mean.is_cuda:  # torch has it for GPUs only; parameters and their names stay
         nn.SyncBatchNorm.convert_sync_batchnorm(network)
-    # Some heads have weights that never learn, as the spread of a latent of which only the mean is taken.
+    # Some heads have weights that never learn, as the unused spread of a latent.
     return DistributedDataParallel(learner, static_graph=True)
 
 

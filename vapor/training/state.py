@@ -141,8 +141,8 @@ def load_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) ->
 def _moments(tensors: Mapping[str, Tensor], optimizer: torch.optim.Optimizer) -> dict[int, dict[str, Tensor]]:
     """AdamW's moments by the index of their parameter, in the parameter's memory layout.
 
-    The fused AdamW walks parameter and moments by address: a channels-last parameter with contiguous moments would
-    silently be updated with those of other elements.
+    The fused AdamW goes through parameter and moments by address: a channels-last parameter with contiguous moments
+    would silently be updated with the moments of other elements.
     """
     parameters = [p for group in optimizer.param_groups for p in group["params"]]
     moments: dict[int, dict[str, Tensor]] = {}

@@ -180,7 +180,7 @@ def fitting_epochs(state: TrainingState, split: Split, evaluated: int, config: T
     if trial.features is not None:  # twice of all images, once more for each way in which they are varied
         per_pass = (stamps[1] - stamps[0]) / (2 * len(rows))
         varied = np.minimum(epochs, VARIANTS)
-        extraction, evaluation = per_pass * len(split.everything) * (2 + varied), 0.0  # which is quick then
+        extraction, evaluation = per_pass * len(split.everything) * (2 + varied), 0.0  # evaluation is quick then
     spared = np.array([_spared(replace(config, epochs=n)) for n in range(1, most + 1)]) * len(training)
     seconds = extraction + per_image * (epochs * (len(training) + more + evaluation) - spared)
     return max(min(_FEWEST, most), int((seconds <= 3600.0 * config.hours).sum()))

@@ -42,14 +42,14 @@ def require_variety(images: TrainingSet) -> None:
     )
     if len(images) > 1 and looks.astype(float).std(axis=0).max() < 1.0:
         raise TrainingError(
-            f"all {len(images)} images are alike, to within a level of grey, expected those of a camera that sees where"
-            " it is"
+            f"all {len(images)} images are alike, to within a level of grey, expected images that show where the"
+            " camera is"
         )
     step_m = float(np.spacing(np.float32(np.abs(poses.translation).max())))
     if step_m > _COARSEST_M:
         raise TrainingError(
-            f"positions up to {np.abs(poses.translation).max():.3g} m from zero, of which float32 keeps {step_m:.2g} m"
-            " only, expected coordinates near zero: --ground-truth-origin takes a point off"
+            f"positions up to {np.abs(poses.translation).max():.3g} m from zero, rounded to {step_m:.2g} m in float32,"
+            " expected coordinates near zero: --ground-truth-origin takes a point off"
         )
 
 
@@ -104,7 +104,7 @@ class Colours:
 def said_of_colours(recordings: Mapping[str, Colours]) -> list[str]:
     """Notices on recordings whose red and blue are swapped, or seem to be.
 
-    The colours of such a recording fit those of the others only when swapped; or all recordings are bluish.
+    The colours of such a recording fit the others only when swapped; or all recordings are bluish.
     """
     shares = {name: colours.share for name, colours in recordings.items()}
     found = []

@@ -50,7 +50,7 @@ def name_entries(data: Sequence[Path | str]) -> dict[str, tuple[Path, slice]]:
 
 
 def parse_entry(entry: Path | str) -> tuple[Path, slice]:
-    """Path and frames of `PATH` or `PATH@START:STOP`; a URL is copied, and the path is that of its copy.
+    """Path and frames of `PATH` or `PATH@START:STOP`; a URL is copied, and the path is its copy.
 
     Raises:
         TrainingError: the text after the @ is not a range.

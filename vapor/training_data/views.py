@@ -1,4 +1,4 @@
-"""Comparison of the motion in images with that of poses: orientation, mirroring and focal length."""
+"""Comparison of the motion in images with the motion of poses: orientation, mirroring and focal length."""
 
 from __future__ import annotations
 
@@ -225,8 +225,8 @@ class Residuals:
 
         Args:
             motions: second_from_first, (p,).
-            turn: Carries directions in an image to the axes of these; None for none.
-            focal: The focal length over that by which directions were found.
+            turn: Carries directions in an image to the axes of the motions; None for the identity.
+            focal: The focal length over the one by which directions were found.
         """
         turn = np.eye(3) if turn is None else turn
         first, second = self._seen / focal
