@@ -10,9 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from filtering.se3 import Poses
 from tests.helpers.full import full
-from tests.helpers.tiny_training import TINY, Interrupted, interrupt_at, make_frames
+from tests.helpers.tiny_training import TINY, Interrupted, interrupt_at, walks
 from vapor.training import processes
 from vapor.training.presets import METHODS
 from vapor.training.processes import joined_processes, own_part, require_shares
@@ -24,20 +23,9 @@ SHARED = METHODS["retrieval"](SMALL)
 SHARED = replace(SHARED, network=replace(SHARED.network, backbone="resnet18-quarter", components=6), finish=0.34)
 
 
-def train_in_passes(output: Path, progress=None):
-    """Of four walks along a line one is held out, and learned from at the end."""
-    frames = make_frames(96)
-    poses = [Poses(np.eye(3), np.array([0.1 * i, 0.0, 0.0])) for i in range(24)]
-    walks = [
-        [replace(frame, world_from_camera=pose) for frame, pose in zip(frames[i::4], poses, strict=True)]
-        for i in range(4)
-    ]
-    return train_on(dict(zip("abcd", walks, strict=True)), output, SHARED, progress=progress)
-
-
 def losses_of(output: Path) -> list[float]:
     losses: list[float] = []
-    train_in_passes(output, lambda p: losses.append(p.loss) if p.loss is not None else None)
+    train_on(walks(), output, SHARED, progress=lambda p: losses.append(p.loss) if p.loss is not None else None)
     return losses
 
 
@@ -46,7 +34,7 @@ def second(variables: Mapping[str, str], output: Path) -> None:
         for name, value in variables.items():
             patch.setenv(name, value)
         with joined_processes("cpu"):
-            train_in_passes(output)
+            train_on(walks(), output, SHARED)
 
 
 @full
@@ -55,7 +43,7 @@ def test_two_processes_go_on_with_a_training_as_one_would_and_only_the_first_wri
     alone = losses_of(tmp_path / "alone.safetensors")
     output = tmp_path / "shared.safetensors"
     with suppress(Interrupted):
-        train_in_passes(output, interrupt_at(5))  # in the second epoch
+        train_on(walks(), output, SHARED, progress=interrupt_at(5))  # in the second epoch
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = str(server.getsockname()[1])
     variables = {"WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port, "TORCHELASTIC_RUN_ID": "none"}
