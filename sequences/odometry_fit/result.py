@@ -82,8 +82,8 @@ class OdometryFit:
     def from_dict(cls, values: Mapping[str, Any]) -> OdometryFit:
         """What `dataclasses.asdict` and JSON made of one.
 
-        Raises:
-            SequenceError: a value is missing, one too many, or no number, or there are other than six for an axis each.
+        Raises SequenceError where a value is missing, one too many, or no number, or there are other than six for an
+        axis each.
         """
         expected = {entry.name for entry in fields(cls)}
         if set(values) != expected:

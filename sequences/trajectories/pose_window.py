@@ -122,12 +122,8 @@ class PoseWindow:
             self._count_jump(index)
 
     def reaches(self, time_ns: int) -> bool:
-        """Whether a pose at or after this time has come, and the steps that decide whether it is behind a jump."""
-        if not self._times_ns or self._times_ns[-1] < time_ns:
-            return False
-        after = bisect_left(self._times_ns, time_ns)
-        undecided = self.watch_jumps and self._times_ns[after] != time_ns and self._steps[after].is_large
-        return not undecided or after + JUMP_CONTEXT < len(self._times_ns)
+        """Whether a pose at or after this time has come."""
+        return bool(self._times_ns) and self._times_ns[-1] >= time_ns
 
     def forget_before(self, time_ns: int) -> None:
         """Drop what lies before the last pose that is at or before this time, but for the steps that decide on jumps.
