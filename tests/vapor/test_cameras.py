@@ -131,19 +131,6 @@ def test_a_model_file_keeps_its_camera(tmp_path: Path) -> None:
     assert load_checkpoint(path).network_sha256() == uncalibrated().network_sha256()
 
 
-def test_a_model_file_written_before_cameras_were_kept_has_none(tmp_path: Path) -> None:
-    save_checkpoint(tmp_path / "new.safetensors", replace(uncalibrated(), camera=A))
-
-    def forget(tensors: Tensors, metadata: Metadata) -> None:
-        config = json.loads(metadata["config"])
-        del config["camera"]
-        metadata["config"] = json.dumps(config)
-
-    old = load_checkpoint(altered(tmp_path / "new.safetensors", tmp_path / "old.safetensors", forget))
-    assert old.camera is None
-    assert old.seen_sha256() == uncalibrated().seen_sha256()
-
-
 @pytest.mark.parametrize(
     ("change", "said"),
     [

@@ -79,14 +79,6 @@ def test_a_file_that_was_overwritten_in_part_or_cut_or_shuffled_is_refused(small
         refused(small, damaged)
 
 
-def test_a_damaged_model_is_refused(model):
-    content = model.read_bytes()
-    for bit in (8 * len(content) - 100, 4 * len(content)):
-        model.write_bytes(flipped(content, bit))
-        with pytest.raises(CheckpointError, match=DAMAGED):
-            load_checkpoint(model)
-
-
 def test_the_checksum_is_of_names_types_shapes_and_bytes_of_tensors_and_of_all_other_metadata():
     tensors, metadata = {"a": torch.zeros(2, 3), "b": torch.tensor(1)}, {"format": "x"}
     others = [
@@ -152,11 +144,6 @@ def other_best(tensors: dict, config: dict) -> None:
     tensors["best.x"] = torch.ones(1)
 
 
-def imaginary(tensors: dict, config: dict) -> None:
-    name = next(name for name in tensors if name.startswith("network."))
-    tensors[name] = tensors[name].to(torch.complex64)
-
-
 def words_in_history(tensors: dict, config: dict) -> None:
     config["history"] = [dict.fromkeys(Validation.__dataclass_fields__, "x")]
 
@@ -164,9 +151,8 @@ def words_in_history(tensors: dict, config: dict) -> None:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (without_step, r"optimizer\.0 has .* expected the network's tensors"),
-        (other_best, r"Missing key.* expected the network's tensors"),
-        (imaginary, r"tensor network\..* is of torch\.complex64, expected real numbers"),
+        (without_step, r"the optimizer has moments other than .* expected a training's state; remove"),
+        (other_best, r"Missing key.* expected a training's state; remove"),
         (words_in_history, r"history configuration has \w+ 'x', expected a "),
     ],
 )
@@ -184,9 +170,3 @@ def test_a_state_that_no_training_wrote_is_refused_though_its_checksum_fits(chan
     write_safetensors(path, tensors, {**metadata, "config": json.dumps(config)})
     with pytest.raises(CheckpointError, match=said):
         load_state(path, state, {"seed": 0})
-
-
-def test_a_file_can_be_written_again_with_other_content(model):
-    metadata, tensors = read_safetensors(model)
-    write_safetensors(model, {**tensors, "more": torch.ones(1)}, metadata)
-    assert "more" in read_safetensors(model)[1]
