@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from filtering.localizer import ParticleLocalizer as ParticleLocalizer
     from filtering.measurement_noise import MeasurementNoise as MeasurementNoise
     from filtering.motion import Odometry as Odometry
+    from filtering.observation import Observation as Observation
     from filtering.observation import View as View
     from filtering.posterior import ObservationModel as ObservationModel
     from filtering.posterior import PosePosterior as PosePosterior
@@ -42,6 +43,7 @@ _MODULES = {
     "LiveEstimate": "vapor.robot.belief",
     "LocalizerConfig": "filtering.config",
     "Mode": "filtering.estimate",
+    "Observation": "filtering.observation",
     "ObservationModel": "filtering.posterior",
     "Odometry": "filtering.motion",
     "ParticleLocalizer": "filtering.localizer",
@@ -53,7 +55,7 @@ _MODULES = {
     "TrainConfig": "vapor.training.config",
     "VaporObservationModel": "vapor.observation",
     "VaporTrackError": "filtering.errors",
-    "View": "filtering.cameras",
+    "View": "filtering.observation",
     "calibrate_model": "vapor.calibration.calibrate",
     "fuse": "vapor.pipeline.fuse",
     "live": "vapor.robot.live",
