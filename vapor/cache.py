@@ -13,7 +13,6 @@ from typing import Any
 from sequences.atomic import atomic_output
 from sequences.errors import SequenceError
 from sequences.files import read_json
-from vapor.storage import fetched, published
 from vapor.threads import limited_threads
 
 
@@ -30,7 +29,7 @@ def cached(path: Path, settings: Mapping[str, Any], compute: Callable[[], Any]) 
     """
     file = path.with_name(f"{path.name}-{digest(settings)}.json")
     try:
-        return read_json(fetched(file))["result"]
+        return read_json(file)["result"]
     except (SequenceError, KeyError, TypeError):  # none, or damaged
         pass
     with limited_threads(1):
@@ -38,7 +37,6 @@ def cached(path: Path, settings: Mapping[str, Any], compute: Callable[[], Any]) 
     file.parent.mkdir(parents=True, exist_ok=True)
     with atomic_output(file) as partial:
         partial.write_text(json.dumps({"settings": settings, "result": result}, indent=1), encoding="utf-8")
-    published(file)
     return result
 
 

@@ -1,15 +1,15 @@
-"""Figures of many runs: all methods side by side, short sequences, intervals over walks."""
+"""Every method evaluated on a segment, as a whole and in short sequences."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64
+from jaxtyping import Bool
 
 from filtering.estimate import Mode
 from filtering.se3 import Poses
@@ -26,16 +26,11 @@ from vapor.tracking.methods import BASELINES, METHODS, in_order
 LOCALIZING = tuple(method for method in METHODS if method != "dead_reckoning")
 """Methods that find the camera by themselves: dead reckoning is given its start."""
 
-BELIEVING = (*BASELINES, "filter")
-"""Methods that state their confidence after every image."""
-
 OURS = "filter"
 """The method that the benchmarks are about."""
 
-
-def ours_first() -> list[str]:
-    """Names in `BELIEVING`, the particle filter first."""
-    return [OURS, *(method for method in BELIEVING if method != OURS)]
+BELIEVING = (OURS, *BASELINES)
+"""Methods that state their confidence after every image."""
 
 
 def label(method: str) -> str:
@@ -48,123 +43,88 @@ def short_label(method: str) -> str:
     return METHODS[method].short_label or label(method)
 
 
+def all_poses(followed: Followed) -> dict[str, Poses]:
+    """Poses of every method by its name in `METHODS`, world_from_camera, (n,) each."""
+    return followed.poses | followed.poses_at_end()
+
+
+def evaluate_methods(
+    followed: Followed,
+    poses: Mapping[str, Poses],
+    images: Bool[np.ndarray, " n"] | None = None,
+    *,
+    unit_m: float = 1.0,
+    storey_height_m: float | None = None,
+    storeys: Storeys | None = None,
+) -> dict[str, Any]:
+    """What every method was worth on a segment of n images, as JSON.
+
+    Args:
+        followed: The results of the methods.
+        poses: Of every method, from `all_poses`.
+        images: Which images count, at least one; None for all.
+        unit_m: Lengths are evaluated in units of so many metres.
+        storey_height_m: From storey to storey, where storeys look alike.
+        storeys: Of the building, where there are several.
+
+    Returns:
+        `images`, `methods` (see `evaluate_trajectory`), `belief` of the baselines and of the filter (see
+        `evaluate_belief`), `image_truth_among_modes` (of the single images' posteriors), `particles` and `step_ms`.
+        Where storeys look alike, `methods` have `storey` (see `evaluate_storey`), and `belief` has `on_storey`.
+        Where there are several, `methods` have `storey_accuracy`.
+    """
+    every = followed.segment.times_ns
+    at = np.arange(len(every)) if images is None else np.flatnonzero(images)
+    times_ns, truth = every[at], _scaled_poses(followed.segment.truth[at], 1.0 / unit_m)
+    found = {name: _scaled_poses(each[at], 1.0 / unit_m) for name, each in in_order(poses).items()}
+
+    def modes_of(each_image: Sequence[tuple[Mode, ...]]) -> list[tuple[Mode, ...]]:
+        return [tuple(_scaled_mode(mode, 1.0 / unit_m) for mode in each_image[i]) for i in at.tolist()]
+
+    methods = {
+        name: evaluate_trajectory(
+            Trajectory(times_ns, each),
+            Trajectory(times_ns, truth),
+            # Whoever is carried off has no one moment from which on all is right.
+            tracking=METHODS[name].can_converge and followed.kidnap_index is None,
+        )
+        for name, each in found.items()
+    }
+    if storey_height_m is not None:
+        for name, each in methods.items():
+            each["storey"] = evaluate_storey(found[name], truth, storey_height_m)
+    if storeys is not None:
+        for name, each in methods.items():
+            each["storey_accuracy"] = storey_accuracy(found[name], truth, storeys)
+    belief = {
+        name: evaluate_belief(
+            Belief(modes_of(each.modes), [each.status[i] for i in at.tolist()]),
+            times_ns,
+            truth,
+            converged_at_s=methods[name].get("converged_at_s"),
+            kidnap_index=followed.kidnap_index,
+            storey_height_m=storey_height_m,
+        )
+        for name, each in followed.beliefs.items()
+    }
+    return {
+        "images": len(at),
+        "methods": methods,
+        "belief": belief,
+        "image_truth_among_modes": truth_among_modes(modes_of(followed.image_modes), truth),
+        "particles": followed.particles,
+        "step_ms": followed.step_ms,
+    }
+
+
 def _scaled_poses(poses: Poses, factor: float) -> Poses:
     return Poses(poses.rotation, factor * poses.translation)
 
 
 def _scaled_mode(mode: Mode, factor: float) -> Mode:
-    pose = _scaled_poses(mode.world_from_camera, factor)
     lengths = np.repeat([factor, 1.0], 3)
+    pose = _scaled_poses(mode.world_from_camera, factor)
     return replace(mode, world_from_camera=pose, covariance=mode.covariance * np.outer(lengths, lengths))
-
-
-def _scaled_belief(belief: Belief, factor: float) -> Belief:
-    return replace(belief, modes=[tuple(_scaled_mode(mode, factor) for mode in modes) for modes in belief.modes])
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """What every method made of a segment of n images.
-
-    Attributes:
-        poses: Poses of every method by its name in `METHODS`, world_from_camera, batches (n,).
-        beliefs: Of the filter and each baseline, by name.
-        image_modes: Places of each image's posterior alone, (n,).
-        particles: Median number of particles of the filter.
-        step_ms: Median milliseconds of a step of the filter.
-        kidnap_index: First image after the camera was carried off; None where it was not.
-    """
-
-    times_ns: Int64[np.ndarray, " n"]
-    truth: Poses
-    poses: dict[str, Poses]
-    beliefs: dict[str, Belief]
-    image_modes: tuple[tuple[Mode, ...], ...]
-    particles: int
-    step_ms: float
-    kidnap_index: int | None = None
-
-    def figures(
-        self,
-        images: Bool[np.ndarray, " n"] | None = None,
-        *,
-        storey_height_m: float | None = None,
-        storeys: Storeys | None = None,
-    ) -> dict[str, Any]:
-        """What every method was worth, as JSON.
-
-        Args:
-            images: Which images count, at least one; None for all.
-            storey_height_m: From storey to storey, in the unit of the poses, where storeys look alike.
-            storeys: Of the building, where there are several, in the unit of the poses.
-
-        Returns:
-            `images`, `methods` (see `evaluate_trajectory`), `belief` of the baselines and of the filter (see
-            `evaluate_belief`), `image_truth_among_modes` (of the single images' posteriors), `particles` and `step_ms`.
-            Where storeys look alike, `methods` have `storey` (see `evaluate_storey`), and `belief` has `on_storey`.
-            Where there are several, `methods` have `storey_accuracy`.
-        """
-        every = np.ones(len(self.times_ns), bool)
-        at = np.flatnonzero(every if images is None else images)
-        times_ns, truth = self.times_ns[at], self.truth[at]
-        methods = {
-            name: evaluate_trajectory(
-                Trajectory(times_ns, poses[at]),
-                Trajectory(times_ns, truth),
-                # Whoever is carried off has no one moment from which on all is right.
-                tracking=METHODS[name].can_converge and self.kidnap_index is None,
-            )
-            for name, poses in in_order(self.poses).items()
-        }
-        if storey_height_m is not None:
-            for name, each in methods.items():
-                each["storey"] = evaluate_storey(self.poses[name][at], truth, storey_height_m)
-        if storeys is not None:
-            for name, each in methods.items():
-                each["storey_accuracy"] = storey_accuracy(self.poses[name][at], truth, storeys)
-        belief = {
-            name: evaluate_belief(
-                Belief([each.modes[i] for i in at.tolist()], [each.status[i] for i in at.tolist()]),
-                times_ns,
-                truth,
-                converged_at_s=methods[name].get("converged_at_s"),
-                kidnap_index=self.kidnap_index,
-                storey_height_m=storey_height_m,
-            )
-            for name, each in self.beliefs.items()
-        }
-        return {
-            "images": len(at),
-            "methods": methods,
-            "belief": belief,
-            "image_truth_among_modes": truth_among_modes([self.image_modes[i] for i in at.tolist()], truth),
-            "particles": self.particles,
-            "step_ms": self.step_ms,
-        }
-
-    def scaled(self, factor: float) -> Comparison:
-        """The same where all lengths are multiplied by a factor: evaluated in metres, or in another unit."""
-        return replace(
-            self,
-            truth=_scaled_poses(self.truth, factor),
-            poses={name: _scaled_poses(each, factor) for name, each in self.poses.items()},
-            beliefs={name: _scaled_belief(belief, factor) for name, belief in self.beliefs.items()},
-            image_modes=tuple(tuple(_scaled_mode(mode, factor) for mode in modes) for modes in self.image_modes),
-        )
-
-
-def compare(followed: Followed) -> Comparison:
-    """Every method over a segment: those that went from image to image, and those that see it as a whole."""
-    return Comparison(
-        followed.segment.times_ns,
-        followed.segment.truth,
-        followed.poses | followed.poses_at_end(),
-        followed.beliefs,
-        followed.image_modes,
-        followed.particles,
-        followed.step_ms,
-        followed.kidnap_index,
-    )
 
 
 LENGTHS = (15, 100)
@@ -177,10 +137,13 @@ SUCCESS_M: Mapping[str, float] = MappingProxyType({"1m": 1.0, "0.5m": 0.5})
 """Limits of the position's error, metres."""
 
 
-def succeeds(poses: Poses, truth: Poses) -> dict[str, bool]:
-    """Whether the last ten of a sequence's poses (n,), n ≥ 10, are all closer to the truth than each of `SUCCESS_M`."""
-    error_m = poses[-LAST:].distance(truth[-LAST:])[0]
-    return {name: bool((error_m < limit_m).all()) for name, limit_m in SUCCESS_M.items()}
+def succeeds(poses: Poses, truth: Poses, unit_m: float = 1.0) -> dict[str, bool]:
+    """Whether the last ten of a sequence's poses (n,), n ≥ 10, are all closer to the truth than each of `SUCCESS_M`.
+
+    Limits are in units of so many metres.
+    """
+    error = poses[-LAST:].distance(truth[-LAST:])[0] / unit_m
+    return {name: bool((error < limit).all()) for name, limit in SUCCESS_M.items()}
 
 
 def starts_of_sequences(segment: Segment, length: int, images: Bool[np.ndarray, " n"]) -> Iterator[int]:
@@ -241,8 +204,7 @@ def evaluate_sequences(
             again = follow(sequence, followed.errors, followed.config, rng=rng, ablation=ablation, baselines=baselines)
             for name, poses in again.poses.items():
                 if name != "dead_reckoning":  # its start is given
-                    scaled = (Poses(each.rotation, each.translation / unit_m) for each in (poses, sequence.truth))
-                    succeeded.setdefault(name, []).append(succeeds(*scaled))
+                    succeeded.setdefault(name, []).append(succeeds(poses, sequence.truth, unit_m))
         figures[str(length)] = {
             "sequences": len(starts),
             "success": {
@@ -252,69 +214,3 @@ def evaluate_sequences(
             or None,
         }
     return figures
-
-
-Interval = tuple[float, float]
-
-_RESAMPLES = 1000
-_TAILS = (2.5, 97.5)  # percentiles: 95 % lie between
-
-
-class Walks:
-    """The walks of n ≥ 1 runs, drawn a thousand times with replacement: all runs cut from a walk come with it.
-
-    Intervals are percentiles of a figure over these draws (bootstrap of clusters: Davison and Hinkley, "Bootstrap
-    Methods and Their Application", 1997, §3.8); the same runs give the same. They are None where fewer than two walks
-    have a value. Where all walks agree they have no width, which is no proof: see `dissent`.
-
-    Args:
-        walks: Which walk each run is cut from, (n,).
-    """
-
-    def __init__(self, walks: Sequence[int]) -> None:
-        self._walk = np.unique(walks, return_inverse=True)[1]
-        every = self.count
-        drawn = np.random.default_rng(0).multinomial(every, np.full(every, 1.0 / every), size=_RESAMPLES)
-        self._times = drawn[:, self._walk]  # how often each run is in each draw
-
-    @property
-    def count(self) -> int:
-        """How many walks there are."""
-        return int(self._walk.max()) + 1
-
-    def mean(
-        self, values: Sequence[int | float | None], weights: Sequence[int | float] | None = None
-    ) -> Interval | None:
-        """Interval of the mean of the runs' values (n,), weighted if asked for; runs without a value do not count."""
-        known = np.array([value is not None for value in values])
-        weight = known * (1.0 if weights is None else np.array(weights))
-        total = self._times @ weight
-        of_draws = self._times @ (weight * np.array([value or 0.0 for value in values]))
-        return self._interval(known, of_draws[total > 0] / total[total > 0])
-
-    def number(self, flags: Sequence[bool]) -> Interval | None:
-        """Interval of how many of the runs have a flag, (n,)."""
-        fraction = self.mean(flags)
-        return None if fraction is None else (len(flags) * fraction[0], len(flags) * fraction[1])
-
-    def median(self, values: Sequence[int | float | None]) -> Interval | None:
-        """Interval of the median of the runs' values (n,); runs without one do not count."""
-        known = np.array([value is not None for value in values])
-        numbers = np.array([value for value in values if value is not None], np.float64)
-        order = np.argsort(numbers)
-        up_to = np.cumsum(self._times[:, known][:, order], axis=1)
-        up_to = up_to[up_to.any(axis=1)]
-        total = up_to[:, -1:]
-        middle = [(up_to <= rank).sum(axis=1) for rank in ((total - 1) // 2, total // 2)]
-        return self._interval(known, numbers[order][np.array(middle)].mean(axis=0))
-
-    def _interval(self, known: np.ndarray, of_draws: Float64[np.ndarray, " k"]) -> Interval | None:
-        if len(np.unique(self._walk[known])) < 2:
-            return None
-        low, high = np.percentile(of_draws, _TAILS)
-        return float(low), float(high)
-
-
-def dissent(walks: int) -> float:
-    """The largest fraction of walks that are otherwise, with 95 % confidence, where so many agree: about 3 in n."""
-    return 1.0 - 0.05 ** (1.0 / walks)

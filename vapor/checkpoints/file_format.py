@@ -34,7 +34,6 @@ from vapor.checkpoints.stored_tensors import (
 from vapor.regressors.network_config import NetworkConfig, make_regressor
 from vapor.regressors.ood_model import description_size
 from vapor.regressors.scene_box import SceneBox
-from vapor.storage import fetched, is_url, local_path
 from vapor.tensor_files import CheckpointError, Stored, StoredTensor, format_of, read_stored, write_safetensors
 
 if TYPE_CHECKING:
@@ -211,12 +210,12 @@ def is_model(path: Path) -> bool:
 
 
 def find_model(name_or_path: str) -> Path:
-    """The file of a model: by a path, a URL, which is copied, or the name of a model that ships.
+    """The file of a model: by its path, or by the name of a model that ships.
 
     Raises:
         CheckpointError: neither a file nor a shipped model; lists the shipped models.
     """
-    path = fetched(local_path(name_or_path)) if is_url(name_or_path) else Path(name_or_path)
+    path = Path(name_or_path)
     if path.is_file():
         return path
     shipped = SHIPPED / f"{name_or_path}.safetensors"

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import shlex
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Annotated, Any, NoReturn, TypeVar
@@ -18,47 +19,28 @@ from rich.text import Text
 
 from filtering.errors import VaporTrackError, shortened
 from vapor.commands.terminal import color_system, raise_of_output, width, wrapped, write, write_error
-from vapor.storage import is_url, local_path
 
 Options = TypeVar("Options")
 
 _WIDE = 10_000  # characters
 
 
-def _path_or_url(words: list[str]) -> Path:
-    try:
-        return local_path(words[0]) if is_url(words[0]) else Path(words[0])
-    except VaporTrackError as error:
-        raise ValueError(str(error)) from error
-
-
-def _output(words: list[str]) -> Path:
-    if is_url(words[0]):
-        raise ValueError(f"is {words[0]}, expected a path, as only vapor-benchmark writes to URLs")
-    return path_or_url_to_write(words)
-
-
-def path_or_url_to_write(words: list[str]) -> Path:
-    """A path, or the path of a URL's copy; ValueError for an empty one."""
+def _path(words: list[str]) -> Path:
     if not words[0].strip():
         raise ValueError("is empty, expected a path")
-    return _path_or_url(words)
+    return Path(words[0])
 
 
-def path_given_by(instance_from_str: Callable[[list[str]], Path]) -> Any:
-    """Constructor of an option that is a path."""
-    return tyro.constructors.PrimitiveConstructorSpec(
+OutputPath = Annotated[
+    Path,
+    tyro.constructors.PrimitiveConstructorSpec(
         nargs=1,
         metavar="PATH",
-        instance_from_str=instance_from_str,
+        instance_from_str=_path,
         is_instance=lambda value: isinstance(value, Path),
         str_from_instance=lambda path: [str(path)],
-    )
-
-
-InputPath = Annotated[Path, path_given_by(_path_or_url)]
-"""A path to read from, or the path of a URL's copy (see `vapor.storage`)."""
-OutputPath = Annotated[Path, path_given_by(_output)]
+    ),
+]
 """A path to write to, which is not empty."""
 
 Overwrite = Annotated[
@@ -76,6 +58,9 @@ def command_line(command: str, arguments: Sequence[str], program: str = "vapor-t
 
 def parse(command: str, options: type[Options], arguments: Sequence[str], program: str = "vapor-track") -> Options:
     """Options from the words of the command line; wrong ones print a line and exit with status 2."""
+    for word in arguments:
+        if re.match(r"[a-z][a-z0-9+.-]*://", word):
+            usage_error(command, f"{word}: expected a path; copy or mount it first", program)
     errors, helped, columns = io.StringIO(), _Help(), os.environ.get("COLUMNS")
     try:
         is_help = {"-h", "--help"} & set(arguments)

@@ -12,7 +12,6 @@ import tyro
 from filtering.errors import VaporTrackError, require_within, shortened
 from sequences.options import SequenceOptions
 from vapor.commands.console import (
-    InputPath,
     OutputPath,
     Overwrite,
     command_line,
@@ -26,22 +25,20 @@ from vapor.commands.console import (
 )
 from vapor.commands.progress import progress
 from vapor.commands.terminal import results_are_complete
-from vapor.commands.workers import Scheduler, workers_for
 from vapor.pipeline.batch import SUMMARY, Outcome, find_sequences, format_batch, is_batch, run_batch, total
 from vapor.pipeline.config import RunConfig
 from vapor.pipeline.results import RunResult
 from vapor.pipeline.run import run
 from vapor.reporting.report import format_table
-from vapor.storage import fetched
 
 
 @dataclass(frozen=True)
 class Options:
     """Localize the camera of recorded sequences; write trajectories, report and recordings of each."""
 
-    sequences: Annotated[tyro.conf.Positional[tuple[InputPath, ...]], tyro.conf.arg(metavar="SEQUENCE ...")]
-    """MCAP files, rosbag2 folders or ROS 1 bags with images and odometry, or their URLs; any other folder
-    stands for all that are in it."""
+    sequences: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="SEQUENCE ...")]
+    """MCAP files, rosbag2 folders or ROS 1 bags with images and odometry; any other folder stands for all
+    that are in it."""
     model: str
     """Model file, or name of a model that ships with the package: staircase, ceiling."""
     output: OutputPath
@@ -50,14 +47,13 @@ class Options:
     overwrite: Overwrite = False
     workers: int = 1
     """Sequences at a time, each in a process of its own."""
-    scheduler: Scheduler = None
     reading: Annotated[SequenceOptions, tyro.conf.arg(name="")] = field(default_factory=SequenceOptions)
     config: Annotated[RunConfig, tyro.conf.arg(name="")] = field(default_factory=RunConfig)
 
     def __post_init__(self) -> None:
         require_within(self, workers=(1, 10**6))
-        if self.config.view and (self.workers > 1 or self.scheduler is not None):
-            raise VaporTrackError("--view beside --workers or --scheduler, expected one sequence at a time to look at")
+        if self.config.view and self.workers > 1:
+            raise VaporTrackError("--view beside --workers, expected one sequence at a time to look at")
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -67,8 +63,6 @@ def main(arguments: Sequence[str]) -> None:
         usage_error("run", "no sequence, expected at least one MCAP file or rosbag2 folder")
     if is_batch(options.sequences):
         _run_batch(options, command)
-    elif options.scheduler is not None:
-        usage_error("run", "--scheduler for one sequence, expected several")
     else:
         _run_one(options, command)
 
@@ -77,7 +71,7 @@ def _run_one(options: Options, command: str) -> None:
     (sequence,) = options.sequences
     with progress("localizing") as advance:
         result = run(
-            fetched(sequence),
+            sequence,
             options.model,
             options.output,
             options.config,
@@ -114,10 +108,7 @@ def _run_batch(options: Options, command: str) -> None:
     numbers = {name: f"{name}, {number} of {len(sequences)}" for number, name in enumerate(sequences, start=1)}
     outcomes: list[Outcome] = []
     try:
-        with (
-            workers_for("run", options.workers, options.scheduler) as workers,
-            progress("localizing", "images" if workers.are_this_process else "sequences") as shown,
-        ):
+        with progress("localizing", "images" if options.workers == 1 else "sequences") as shown:
             for outcome in run_batch(
                 sequences,
                 options.model,
@@ -126,11 +117,11 @@ def _run_batch(options: Options, command: str) -> None:
                 reading=options.reading,
                 overwrite=options.overwrite,
                 progress=lambda name, done, count: shown.at(numbers[name], done, max(done, count)),
-                workers=workers,
+                workers=options.workers,
                 command=command,
             ):
                 outcomes.append(outcome)
-                if not workers.are_this_process:
+                if options.workers > 1:
                     shown(len(outcomes), len(sequences))
     finally:  # after Ctrl-C too: results of finished sequences are complete
         if outcomes:

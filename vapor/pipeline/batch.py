@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache, partial
 from pathlib import Path
-from platform import node
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,13 +17,12 @@ from sequences.atomic import atomic_output
 from sequences.options import SequenceOptions
 from sequences.outputs import folder_to_write, refuse_other, require_replaceable
 from sequences.recordings.recording_file import SUFFIXES
-from vapor.parallel.jobs import Workers, in_parallel
+from vapor.parallel import in_parallel
 from vapor.pipeline.config import RunConfig
 from vapor.pipeline.model import LoadedModel, load_model
 from vapor.pipeline.results import RESULTS, RunResult
 from vapor.pipeline.run import files_read, run
 from vapor.reporting.report import is_report
-from vapor.storage import fetched, listed, url_of
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -43,8 +41,7 @@ def find_sequences(paths: Sequence[Path], output: Path) -> dict[str, Path]:
 
     A file or a rosbag2 folder is a sequence. Any other folder stands for all recordings below it but for results of
     earlier runs; an empty one stands for itself, and fails when it is opened. A sequence found twice is listed once. A
-    name is that of the file or folder, preceded by folders above it where others have it too. Copies of files in
-    storage are found there, and not made.
+    name is that of the file or folder, preceded by folders above it where others have it too.
     """
     found: dict[Path, Path] = {}
     for path in paths:
@@ -54,8 +51,6 @@ def find_sequences(paths: Sequence[Path], output: Path) -> dict[str, Path]:
 
 
 def _found_in(path: Path, leave_out: Path | None = None) -> list[Path]:
-    if url_of(path) is not None:
-        return _found_in_storage(path)
     if not path.is_dir() or (path / "metadata.yaml").is_file():
         return [path]
     sequences: list[Path] = []
@@ -70,16 +65,6 @@ def _found_in(path: Path, leave_out: Path | None = None) -> list[Path]:
             is_result = entry.name == "estimate.mcap" and entry.with_name("report.json").is_file()
             sequences += [] if is_result else [entry]
     return sequences
-
-
-def _found_in_storage(path: Path) -> list[Path]:
-    files = listed(path)
-    bags = {file.parent for file in files if file.name == "metadata.yaml"}
-    if path in bags or path in files or not files:
-        return [path]
-    results = {file.with_name("estimate.mcap") for file in files if file.name == "report.json"}
-    single = {file for file in files if file.suffix in SUFFIXES and bags.isdisjoint(file.parents)}
-    return sorted(bags | single - results)
 
 
 def unique_names(sequences: Sequence[Path]) -> list[str]:
@@ -138,23 +123,23 @@ def run_batch(
     reading: SequenceOptions | None = None,
     overwrite: bool = False,
     progress: Callable[[str, int, int], None] | None = None,
-    workers: Workers | None = None,
+    workers: int = 1,
     command: str = "",
 ) -> Iterator[Outcome]:
     """Localize many sequences, by the names of their results; each has the results that it would have alone.
 
     The output gets a folder for each sequence, and `summary.json` on those done so far. Each process loads the model
     once. Progress has the name of a sequence, the images done and an upper bound of all; sequences that other processes
-    localize have none. Without workers they are localized one after the other here. Other arguments are as of `run`.
+    localize have none. One worker localizes them one after the other here. Other arguments are as of `run`.
 
     Yields:
         The result of each when it is done, in order without other processes. A sequence that cannot be used does not
         stop the others.
 
     Raises:
-        VaporTrackError: unusable model or output, or an output that workers do not see; with the first sequence.
+        VaporTrackError: unusable model or output; with the first sequence.
     """
-    config, workers = config or RunConfig(), workers or Workers()
+    config = config or RunConfig()
     folder_to_write(output)
     loaded = load_model(model, config)
     reads = list({path: None for sequence in sequences.values() for path in files_read(sequence, loaded, reading)})
@@ -166,19 +151,17 @@ def run_batch(
         output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise VaporTrackError(f"{output}: cannot write: {error.strerror or error}") from error
-    workers.require_to_see(output)
     localized = partial(_localized, config=config, reading=reading, overwrite=overwrite, command=command)
     here = partial(localized, model=loaded, progress=progress)
     stated = {"file": loaded.file, "model": loaded.name, "sha256": loaded.sha256, "config": config}
-    there = partial(_localized_elsewhere, localized, stated, workers.cluster is not None)
+    there = partial(_localized_elsewhere, localized, stated)
     jobs = [(name, sequence, output / name) for name, sequence in sequences.items()]
     done: dict[str, Outcome] = {}
-    for outcome in in_parallel(here if workers.are_this_process else there, jobs, workers):
-        sequence = sequences[outcome.name]
-        done[outcome.name] = replace(outcome, sequence=url_of(sequence) or str(sequence))
+    for _, outcome in in_parallel(here if workers == 1 else there, jobs, workers):
+        done[outcome.name] = outcome
         in_order = [done[name] for name in sequences if name in done]
         _write_summary(output / SUMMARY, loaded.name, in_order, of=len(sequences))
-        yield done[outcome.name]
+        yield outcome
 
 
 def _localized(
@@ -196,22 +179,21 @@ def _localized(
     advance = None if progress is None else partial(progress, name)
     options = {"reading": reading, "overwrite": overwrite, "progress": advance, "command": command}
     try:
-        return _outcome(name, sequence, run(fetched(sequence), model, output, config, **options))
+        return _outcome(name, sequence, run(sequence, model, output, config, **options))
     except (VaporTrackError, OSError) as error:
         return Outcome(name, str(sequence), error=" ".join(str(error).splitlines()))
 
 
 def _localized_elsewhere(
-    localized: Callable[..., Outcome], stated: dict[str, Any], on_cluster: bool, name: str, sequence: Path, output: Path
+    localized: Callable[..., Outcome], stated: dict[str, Any], name: str, sequence: Path, output: Path
 ) -> Outcome:
-    """As `_localized` in another process, which loads the model; on a cluster an error names the machine."""
-    outcome = localized(name, sequence, output, model=_loaded_once(**stated))
-    return replace(outcome, error=f"{outcome.error} (on {node()})") if on_cluster and outcome.error else outcome
+    """As `_localized` in another process, which loads the model."""
+    return localized(name, sequence, output, model=_loaded_once(**stated))
 
 
 @lru_cache(maxsize=1)
 def _loaded_once(file: Path, model: str, sha256: str, config: RunConfig) -> LoadedModel:
-    loaded = load_model(str(fetched(file)), config)
+    loaded = load_model(str(file), config)
     if loaded.sha256 != sha256:
         raise VaporTrackError(f"{file}: is another model than where the run was started, expected the same")
     return replace(loaded, name=model)

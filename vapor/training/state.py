@@ -24,7 +24,6 @@ from vapor.regressors.backbones import load_pretrained
 from vapor.regressors.base import PoseRegressor
 from vapor.regressors.network_config import make_regressor
 from vapor.regressors.scene_box import SceneBox
-from vapor.storage import published
 from vapor.tensor_files import CheckpointError, format_of, read_safetensors, write_safetensors
 from vapor.training.config import TrainConfig
 from vapor.training.memory import TrainingFeatures
@@ -92,7 +91,6 @@ def save_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) ->
         "history": [asdict(validation) for validation in state.history],
     }
     write_safetensors(path, tensors, {"format": FORMAT, "version": str(VERSION), "config": json.dumps(config)})
-    published(path)
 
 
 def load_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) -> None:

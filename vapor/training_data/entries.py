@@ -16,7 +16,6 @@ from sequences.datasets.listing import is_recording, list_images
 from sequences.frame import Frame
 from sequences.options import OdometryUse, SequenceOptions
 from sequences.recordings.bag import bag_files
-from vapor.storage import fetched, is_url, local_path
 from vapor.training_data.training_set import TrainingError
 
 
@@ -50,14 +49,12 @@ def name_entries(data: Sequence[Path | str]) -> dict[str, tuple[Path, slice]]:
 
 
 def parse_entry(entry: Path | str) -> tuple[Path, slice]:
-    """Path and frames of `PATH` or `PATH@START:STOP`; a URL is copied, and the path is its copy.
+    """Path and frames of `PATH` or `PATH@START:STOP`.
 
     Raises:
         TrainingError: the text after the @ is not a range.
     """
     match = re.fullmatch(r"(?P<path>.+)@(?P<start>\d*):(?P<stop>\d*)", str(entry))
-    if is_url(text := match["path"] if match else str(entry)):
-        return fetched(local_path(text)), parse_entry(f"x{str(entry)[len(text) :]}")[1]
     if match:
         return Path(match["path"]), slice(int(match["start"] or 0), int(match["stop"]) if match["stop"] else None)
     if re.search(r"@[^/]*:[^/]*$", str(entry)) and not Path(entry).exists():

@@ -1,6 +1,5 @@
 """A walk that is played to `live` for any duration, and what is measured of the answers."""
 
-import json
 import os
 import shlex
 from itertools import islice
@@ -10,57 +9,54 @@ import numpy as np
 import pytest
 
 from filtering.errors import VaporTrackError
-from filtering.se3 import Poses
+from sequences.live.replay import replay
 from sequences.reader import SequenceReader
 from sequences.recordings.mcap_writer import ros_header
 from sequences.recordings.message_definitions import decoder, encoder
-from sequences.recordings.messages import odometry_from_message
 from tests.helpers.fake_transport import FakeTransport
 from tests.helpers.full import full
 from tests.helpers.tiny_model import SMALL
 from vapor.benchmark.__main__ import main
-from vapor.benchmark.live.measure import first_and_last, latency_of, require_alone
+from vapor.benchmark.commands import live as command
+from vapor.benchmark.live.measure import first_and_last, latency_of, measure, require_alone
 from vapor.benchmark.live.traffic import (
     IMAGE,
     ODOMETRY,
+    REPLAYED,
+    AlteringTransport,
     Timeline,
-    Traffic,
-    folded,
-    image_positions,
-    play,
     read_walk,
     stamp_of,
     with_stamp,
+    write_walk,
 )
 
 
-def test_one_goes_there_and_back_again():
-    assert [folded(way, 3) for way in range(9)] == [0, 1, 2, 3, 2, 1, 0, 1, 2]
-    np.testing.assert_array_equal(folded(np.arange(9), 3), [0, 1, 2, 3, 2, 1, 0, 1, 2])
-
-
 @pytest.mark.parametrize("number", [3, 4, 5, 30, 31])
-@pytest.mark.parametrize("step", [1.0, 1.1, 1.5, 2.0, 3.0, 10 / 3])
-def test_no_image_is_sent_twice_in_a_row(number: int, step: float):
-    positions = list(islice(image_positions(number, step), 500))
-    images = [folded(position, number - 1) for position in positions]
-    assert np.diff(positions).min() >= 1
+@pytest.mark.parametrize("rate", [20.0, 10.0, 9.1, 6.6, 5.0, 3.3, 3.0])
+def test_the_walk_goes_there_and_back_and_no_image_is_sent_twice_in_a_row(number: int, rate: float):
+    """Recorded at ten images a second."""
+    timeline = Timeline(np.arange(number) * 100_000_000, rate)
+    images, round_s = np.tile(timeline.numbers, 2), timeline.duration_s
+    at_s = np.concatenate([timeline.at_s, round_s + timeline.at_s])
+    assert np.diff(at_s).min() > 0
     assert np.diff(images).all()
-    if step < number - 1:
-        np.testing.assert_allclose(positions, step * np.arange(500), atol=1.5)
-        assert set(images) == set(range(number)) or step > 1
+    if rate >= 10.0:
+        assert timeline.numbers.tolist() == [*range(number), *range(number - 2, 0, -1)]
+    elif number >= 30:
+        assert len(timeline.at_s) / round_s == pytest.approx(rate, rel=0.1)
 
 
 def test_images_are_where_the_walk_is_at_their_time():
     times_ns = np.array([0, 100, 205, 300, 395, 500]) * 1_000_000 + 7  # not quite evenly
     for rate, speed in ((10.0, 1.0), (4.0, 1.0), (30.0, 3.0)):
         timeline = Timeline(times_ns, rate)
-        assert timeline.speed == speed
+        assert timeline.speed == pytest.approx(speed)
         assert timeline.duration_s == pytest.approx(1.0 / speed)
-        at_s, images = zip(*islice(timeline.images(), 40), strict=True)
-        assert np.diff(at_s).min() > 0
-        np.testing.assert_allclose(at_s, np.arange(40) / rate, atol=0.11 / speed)
-        np.testing.assert_allclose(timeline.recorded_ns(np.array(at_s)), times_ns[list(images)], atol=2)
+        np.testing.assert_allclose(timeline.at_s, np.arange(len(timeline.at_s)) / rate, atol=0.11 / speed)
+        for turn in (0, 3):
+            at_s = turn * timeline.duration_s + timeline.at_s
+            np.testing.assert_allclose(timeline.recorded_ns(at_s), times_ns[timeline.numbers], atol=2)
 
 
 def test_a_message_gets_another_stamp():
@@ -71,37 +67,45 @@ def test_a_message_gets_another_stamp():
     assert stamp_of(data) == 5
 
 
-def test_the_odometry_that_is_played_leads_from_image_to_image_as_recorded(walk_of_25: Path):
+@pytest.mark.parametrize("from_s", [0.0, 0.7])
+def test_the_walk_that_is_played_has_odometry_from_image_to_image_as_recorded(
+    from_s: float, walk_of_25: Path, tmp_path: Path
+):
     walk = read_walk(walk_of_25)
-    traffic = Traffic(walk, 30.0, (64, 48))
-    assert traffic.timeline.speed == pytest.approx(3.0)
-    transport, at_s, images = FakeTransport(), [], 0
-    for sent in play(transport, traffic):
-        images += sent.topic == IMAGE
-        at_s.append(sent.at_ns * 1e-9)
-        if images == 6:
-            break
-    assert at_s[-1] - at_s[0] == pytest.approx(5 / 30, abs=0.1)
-    info = decoder("sensor_msgs/CameraInfo")(transport.published["/camera/camera_info"][0])
-    assert (info.width, info.height, info.k[0]) == (64, 48, pytest.approx(walk.camera.fx * 64 / walk.camera.width))
-    messages = [decoder("nav_msgs/Odometry")(data) for data in transport.published[ODOMETRY]]
-    samples = [odometry_from_message(message) for message in messages]
-    stamps_ns = [stamp_of(data) for data in transport.published[IMAGE]]
-    np.testing.assert_allclose(np.diff(stamps_ns), 1e9 / 30, rtol=1e-3)
-    first, last = (min(samples, key=lambda sample: abs(sample.time_ns - t)) for t in (stamps_ns[0], stamps_ns[-1]))
-    frames = list(islice(SequenceReader(walk_of_25), 6))
-    moved = Poses.identity()
-    variance = 0.0
-    for frame in frames[1:]:
-        assert frame.odometry is not None
-        moved = moved @ frame.odometry.previous_from_current
-        variance += np.trace(frame.odometry.covariance[:3, :3])
-    camera = walk.base_from_camera
-    played = camera.inverse() @ first.odom_from_base.between(last.odom_from_base) @ camera
-    assert float(played.distance(moved)[0]) < 0.02  # odometry comes each 5 ms, and so not just with the image
-    interval_s = np.median(np.diff([sample.time_ns for sample in samples])) * 1e-9
-    stated = sum(np.trace(sample.twist_covariance[:3, :3]) for sample in samples) * interval_s**2
-    assert stated == pytest.approx(variance, rel=0.3)
+    timeline = write_walk(tmp_path / "played.mcap", walk, 30.0, (64, 48), from_s=from_s)
+    assert timeline.speed == pytest.approx(3.0)
+    reader = SequenceReader(tmp_path / "played.mcap")
+    assert reader.camera is not None
+    assert (reader.camera.width, reader.camera.height) == (64, 48)
+    assert reader.camera.fx == pytest.approx(walk.camera.fx * 64 / walk.camera.width)
+    played, recorded = list(reader), list(SequenceReader(walk_of_25))
+    assert len(played) == 2 * len(recorded) - 2
+    np.testing.assert_allclose(np.diff([frame.time_ns for frame in played]), 1e9 / 30, rtol=1e-3)
+    at = 0 if from_s == 0.0 else round(2 * len(recorded) - 2 - 30 * from_s)  # where the recording's begin is
+    ours, theirs = played[at + 1 : at + 6], recorded[1:6]
+    for one, other in zip(ours, theirs, strict=True):
+        assert one.odometry is not None
+        assert other.odometry is not None
+        apart_m, apart_rad = one.odometry.previous_from_current.distance(other.odometry.previous_from_current)
+        assert (float(apart_m) < 5e-3, float(apart_rad) < 5e-3) == (True, True)
+    stated = sum(np.trace(frame.odometry.covariance) for frame in ours if frame.odometry is not None)
+    assert stated == pytest.approx(sum(np.trace(f.odometry.covariance) for f in theirs if f.odometry), rel=0.05)
+
+
+def test_messages_are_altered_but_static_transforms(walk_of_25: Path, tmp_path: Path):
+    write_walk(tmp_path / "played.mcap", read_walk(walk_of_25), 30.0, (64, 48))
+    transport, topics = FakeTransport(), []
+
+    def alter(topic: str, data: bytes) -> bytes | None:
+        topics.append(topic)
+        return None if topic == ODOMETRY else with_stamp(data, 7)
+
+    for _ in islice(replay(tmp_path / "played.mcap", AlteringTransport(transport, alter), REPLAYED), 60):
+        pass
+    assert {stamp_of(data) for data in transport.published[IMAGE]} == {7}
+    assert not transport.published.get(ODOMETRY)
+    assert len(transport.published["/tf_static"]) == 1
+    assert set(topics) == {IMAGE, ODOMETRY, "/camera/camera_info"}
 
 
 def test_latency_is_that_of_first_answers():
@@ -132,18 +136,25 @@ def test_nobody_else_may_be_in_the_domain():
 
 @full
 def test_the_command_measures_live(
-    walk_of_25: Path, tiny_model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    walk_of_25: Path, tiny_model: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
     words = ["live", "--model", str(tiny_model), "--sequence", str(walk_of_25), "--rates", "20"]
     words += ["--sizes", "160x120", "--minutes", "0.05", "--domain", str(1 + os.getpid() % 100)]
-    assert main([*words, f"--live={shlex.join(SMALL)}", "--output", str(tmp_path / "out")]) == 0
-    assert "160x120" in capsys.readouterr().out
-    (measured,) = json.loads((tmp_path / "out" / "live.json").read_text())["measured"]
-    assert 40 <= measured["pose"]["sent"] <= 62
-    assert measured["pose"]["answered"] > 0.5 * measured["pose"]["sent"]
-    assert 0 < measured["pose"]["median_ms"] < 1000
-    assert 400 <= measured["base_pose"]["sent"] <= 612  # 200 a second for 3 s, and until the last image is out
-    assert measured["usage"]["last_mb"] > 50
+    measured = []
+
+    def noted(*words, **more):
+        measured.append(measure(*words, **more))
+        return measured[0]
+
+    monkeypatch.setattr(command, "measure", noted)
+    assert main([*words, f"--live={shlex.join(SMALL)}"]) == 0
+    assert "160x120, 20 Hz" in capsys.readouterr().out
+    pose, base_pose = measured[0].pose, measured[0].base_pose
+    assert 40 <= pose.sent <= 62
+    assert pose.answered > 0.5 * pose.sent
+    assert 0 < pose.median_ms < 1000
+    assert 400 <= base_pose.sent <= 612  # 200 a second for 3 s, and until the last image is out
+    assert measured[0].last_mb > 50
 
 
 @pytest.mark.parametrize(

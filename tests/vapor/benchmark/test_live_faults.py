@@ -1,13 +1,12 @@
 """What is made of what was heard while a fault happened."""
 
-import numpy as np
 import pytest
 
-from sequences.recordings.message_definitions import decoder, encoder
+from sequences.recordings.message_definitions import encoder
 from vapor.benchmark.__main__ import main
 from vapor.benchmark.live.faults import changes, status_at, sure_from, sure_since, wrong_for
-from vapor.benchmark.live.robot import Robot
-from vapor.benchmark.live.traffic import ODOMETRY, Outgoing
+from vapor.benchmark.live.robot import NO_ORDER, Order
+from vapor.benchmark.live.traffic import stamp_of, with_stamp
 
 STATUSES = [
     (1.0, "ambiguous"),
@@ -54,32 +53,19 @@ def test_time_counts_while_what_is_published_is_a_metre_off():
     assert wrong_for([0.0, 0.1], [0.9, 0.2]) == 0.0
 
 
-def odometry(x: float) -> bytes:
-    pose = np.array([x, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
-    fields = {"header": {"frame_id": "odom"}, "child_frame_id": "base_link", "pose": {"pose": pose}}
-    return encoder("nav_msgs/Odometry")(fields)
-
-
-def test_a_robot_drops_what_it_is_asked_to_and_sets_its_clock():
-    robot = Robot(restarted=False)
-    image, moved = Outgoing(0.0, "/camera", b"1234"), Outgoing(0.0, ODOMETRY, odometry(3.0))
-    assert robot.alter(image) == (b"1234", 0)
-    robot.request("drop /camera\n")
-    assert robot.alter(image) is None
-    assert robot.alter(moved) is not None
-    robot.request("resume\n")
-    robot.request("clock -5\n")
-    assert robot.alter(image) == (b"1234", -5_000_000_000)
-
-
-def test_a_robot_that_was_restarted_has_odometry_from_the_identity_on():
-    robot = Robot(restarted=True)
-    told = [robot.alter(Outgoing(0.0, ODOMETRY, odometry(x))) for x in (3.0, 3.5)]
-    positions = [decoder("nav_msgs/Odometry")(each[0]).pose.pose.position.x for each in told if each is not None]
-    assert positions == [0.0, 0.5]
+def test_a_robot_leaves_out_a_topic_and_sets_its_clock():
+    message = encoder("geometry_msgs/PoseStamped")({"header": {"frame_id": "map"}})
+    message = with_stamp(message, 9_000_000_000)
+    assert NO_ORDER.altered("/camera", message) == message
+    dropping = Order(dropped="/camera")
+    assert dropping.altered("/camera", message) is None
+    assert dropping.altered("/odom", message) == message
+    late = Order(clock_s=-5.0).altered("/camera", message)
+    assert late is not None
+    assert stamp_of(late) == 4_000_000_000
 
 
 def test_a_fault_that_is_not_known_is_refused(capsys):
     with pytest.raises(SystemExit):
         main(["live-faults", "--model", "staircase", "--sequence", "x.mcap", "--faults", "fire"])
-    assert "fault 'fire' is not known, expected some of none, killed" in capsys.readouterr().err
+    assert "unknown fault 'fire', expected one of none, killed" in capsys.readouterr().err

@@ -59,13 +59,13 @@ def test_fractions_of_images_are_weighed_by_how_many_images_there_were():
     ]
     total = summarise(both)["ceiling"]["cue"]["full"]
     said = total["belief"]["filter"]["converged_images"]
-    assert (said["images"], said["wrong"]) == (100, pytest.approx(0.1))
-    assert said["coverage"]["95%"] == pytest.approx(0.9)
-    assert total["belief"]["filter"]["status"]["converged"] == pytest.approx(1 / 3)
-    assert total["belief"]["filter"]["runs_wrongly_converged"] == 1
+    assert (said["images"], said["wrong"].value) == (100, pytest.approx(0.1))
+    assert said["coverage"]["95%"].value == pytest.approx(0.9)
+    assert total["belief"]["filter"]["status"]["converged"].value == pytest.approx(1 / 3)
+    assert total["belief"]["filter"]["runs_wrongly_converged"].value == 1
     assert total["belief"]["filter"]["false_recoveries"] == 3
-    assert total["methods"]["filter"]["successes"] == 2
-    assert total["methods"]["filter"]["recall_after_convergence"]["0.1m/10deg"] == pytest.approx(0.9)
+    assert total["methods"]["filter"]["successes"].value == 2
+    assert total["methods"]["filter"]["recall_after_convergence"]["0.1m/10deg"].value == pytest.approx(0.9)
     assert "successes" not in total["methods"]["single_image"]
     assert total["failed"] == ["ceiling-cue-0.1"]
 
@@ -73,10 +73,10 @@ def test_fractions_of_images_are_weighed_by_how_many_images_there_were():
 def test_a_wrong_place_counts_in_any_image_and_in_a_twentieth_of_them():
     runs = [result("no-cue", converged=share, wrong=0.5) for share in (0.02, 0.08, 0.1, 0.3)]
     total = summarise(runs)["ceiling"]["no-cue"]["full"]
-    assert total["belief"]["filter"]["runs_wrongly_converged"] == 4
+    assert total["belief"]["filter"]["runs_wrongly_converged"].value == 4
     assert total["belief"]["filter"]["runs_wrongly_converged_often"] == 2
     assert total["belief"]["filter"]["longest_wrong_s"] == pytest.approx(1.5)
-    assert total["belief"]["filter"]["rightly_converged"] == pytest.approx(0.0625)
+    assert total["belief"]["filter"]["rightly_converged"].value == pytest.approx(0.0625)
     assert total["failed"] == ["ceiling-no-cue-0.1", "ceiling-no-cue-0.3"]
 
 
@@ -86,9 +86,8 @@ def test_recovery_counts_up_to_the_fiftieth_image():
         for share, images in ((0.1, 1), (0.2, 50), (0.3, 51), (0.4, None))
     ]
     kidnap = summarise(runs)["ceiling"]["kidnap"]["full"]["belief"]["filter"]["kidnap"]
-    intervals = kidnap.pop("intervals")
-    assert kidnap == {"right_before": 4, "recovered_in_time": 2, "recovered": 3, "median_images": 50.0}
-    assert intervals == {"recovered_in_time": None}  # of one walk
+    of_one_walk = {"recovered_in_time": (2, None, None), "median_images": (50.0, None, None)}
+    assert kidnap == {"right_before": 4, "recovered": 3, **of_one_walk}
     assert [each["name"] for each in runs if failed(each)] == ["ceiling-kidnap-0.3", "ceiling-kidnap-0.4"]
 
 
@@ -101,14 +100,10 @@ def test_intervals_of_alike_runs_have_no_width_and_those_of_others_hold_the_figu
     total = summarise(runs)["ceiling"]["cue"]["full"]
     method, said = total["methods"]["filter"], total["belief"]["filter"]["converged_images"]
     assert (total["runs"], total["walks"]) == (30, 10)
-    assert method["intervals"]["median_translation_m"] == (0.1, 0.1)
-    for interval, figure in (
-        (method["intervals"]["successes"], method["successes"]),
-        (said["intervals"]["wrong"], said["wrong"]),
-        (said["intervals"]["coverage"]["95%"], said["coverage"]["95%"]),
-        (total["belief"]["filter"]["intervals"]["rightly_converged"], total["belief"]["filter"]["rightly_converged"]),
-    ):
-        assert interval[0] < figure < interval[1]
+    assert method["median_translation_m"] == (0.1, 0.1, 0.1)
+    rightly = total["belief"]["filter"]["rightly_converged"]
+    for figure in (method["successes"], said["wrong"], said["coverage"]["95%"], rightly):
+        assert figure.low < figure.value < figure.high
 
 
 def on_storey(each: dict, right: float) -> dict:
@@ -131,12 +126,11 @@ def test_storeys_are_summed_up_over_the_images_on_them_with_intervals():
     total = summarise([*runs, never])["ceiling"]["walk"]["full"]
     storey, belief = total["methods"]["smoothed"]["storey"], total["belief"]["filter"]["on_storey"]
     assert (storey["settled_images"], belief["images"]) == (900, 900)
-    assert storey["settled_right"] == pytest.approx(0.68)
-    assert belief["wrong"] == pytest.approx(0.32)
-    assert storey["but_for_it"] == pytest.approx((6.8 + 0.1) / 11)
+    assert storey["settled_right"].value == pytest.approx(0.68)
+    assert belief["wrong"].value == pytest.approx(0.32)
+    assert storey["but_for_it"].value == pytest.approx((6.8 + 0.1) / 11)
     for name in ("but_for_it", "settled_right"):
-        low, high = storey["intervals"][name]
-        assert low < storey[name] < high
+        assert storey[name].low < storey[name].value < storey[name].high
     elsewhere = summarise([result("walk", converged=0.5, wrong=0.0)])["ceiling"]["walk"]["full"]
     assert "storey" not in elsewhere["methods"]["filter"]
     assert "on_storey" not in elsewhere["belief"]["filter"]
@@ -160,14 +154,12 @@ def test_sequences_are_summed_up_over_all_of_them_with_intervals_over_walks():
     total = summarise(runs)["ceiling"]["walk"]["full"]
     short = total["sequences"]["15"]
     assert short["sequences"] == 40
-    assert short["success"]["filter"] == pytest.approx({"1m": 35 / 40, "0.5m": 16 / 40})
-    assert short["success"]["single_image"] == pytest.approx({"1m": 0.1, "0.5m": 0.0})
-    low, high = short["intervals"]["filter"]["1m"]
-    assert low <= 0.5 + 1e-9
-    assert high == 1.0
-    assert total["sequences"]["100"] == {"sequences": 0, "success": {}, "intervals": {}}
-    assert total["methods"]["filter"]["storey_accuracy"] == pytest.approx(0.75)
-    assert total["methods"]["filter"]["position_recall"] == pytest.approx({"1m": 0.7, "3m": 0.805, "5m": 0.9})
+    assert short["success"]["filter"]["1m"] == pytest.approx((35 / 40, 0.5, 1.0))
+    assert short["success"]["filter"]["0.5m"].value == pytest.approx(16 / 40)
+    assert short["success"]["single_image"]["1m"].value == pytest.approx(0.1)
+    assert total["sequences"]["100"] == {"sequences": 0, "success": {}}
+    assert total["methods"]["filter"]["storey_accuracy"].value == pytest.approx(0.75)
+    assert total["methods"]["filter"]["position_recall"]["3m"].value == pytest.approx(0.805)
     assert "sequences" not in summarise([result("cue", converged=0.5, wrong=0.0)])["ceiling"]["cue"]["full"]
 
 

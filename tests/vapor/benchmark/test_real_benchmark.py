@@ -6,11 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from filtering.config import LocalizerConfig
-from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.datasets.listing import list_images
-from sequences.odometry import OdometryNoise
 from tests.helpers.data_sets import make_7scenes
 from tests.helpers.full import full
 from tests.helpers.pose_files import noisy, walk, write_named
@@ -18,8 +15,8 @@ from vapor.benchmark.__main__ import main
 from vapor.benchmark.real import benchmark as real_benchmark
 from vapor.benchmark.real import trained_network
 from vapor.benchmark.real.copied_places import CopiedPlaces
-from vapor.benchmark.real.published import poses_of, simulated_motions
-from vapor.benchmark.real.row import RowContext
+from vapor.benchmark.real.published import poses_of
+from vapor.benchmark.real.row import RowContext, simulated_motions
 from vapor.benchmark.real.rows import ROWS
 from vapor.benchmark.real.trained_network import TrainedNetwork
 from vapor.regressors.loss import LossConfig
@@ -78,15 +75,15 @@ def test_a_place_30_times_as_large_gives_the_same_table_times_30(stairs, tmp_pat
     assert out.count("20 images × 2") == 3 * 2
     for method, figures in small["methods"].items():
         scaled = large["methods"][method]
-        assert scaled["median_translation_m"] == pytest.approx(30 * np.array(figures["median_translation_m"]), rel=1e-4)
+        assert scaled["median_translation_m"][0] == pytest.approx(30 * figures["median_translation_m"][0], rel=1e-4)
         for name in ("median_rotation_deg", "right", "worse_than_0.25m"):
-            assert scaled[name] == pytest.approx(figures[name], rel=1e-4)
+            assert scaled[name][0] == pytest.approx(figures[name][0], rel=1e-4)
     for name in ("converged", "wrong", "median_nees"):
-        assert large["filter"][name] == pytest.approx(small["filter"][name], rel=1e-3)
+        assert large["filter"][name][0] == pytest.approx(small["filter"][name][0], rel=1e-3)
     assert large["filter"]["coverage"] == small["filter"]["coverage"]
     filtered, alone = (small["methods"][name]["median_translation_m"] for name in ("filter", "single_image"))
     assert filtered[1] <= filtered[0] <= filtered[2] < alone[0]  # two draws of odometry, one of the estimates
-    assert alone[1] == alone[2]
+    assert alone[1:] == [None, None]
 
 
 @pytest.mark.usefixtures("unchecked")
@@ -173,9 +170,6 @@ def test_unusable_data_and_names_are_refused(stairs, tmp_path, capsys):
     with pytest.raises(SystemExit):
         run(stairs, tmp_path, "--seeds", "0")
     assert "seeds is 0" in capsys.readouterr().err
-    (tmp_path / "file").write_text("")
-    with pytest.raises(VaporTrackError, match="expected a directory that can be written to"):
-        RowContext(stairs, tmp_path / "file").folder("results")
 
 
 # --- recorded data -------------------------------------------------------------------------------------
@@ -193,7 +187,7 @@ def test_the_corridors_own_odometry_is_one_of_ours(shared_data):
     with np.load(shared_data / "corridor_posteriors" / "floor.npz") as stored:
         times_ns, truth = stored["time_ns"], poses_of(stored["truth"])
         steps, covariance = poses_of(stored["previous_from_current"]), stored["odometry_covariance"]
-    motions = simulated_motions(times_ns, truth, OdometryNoise(), rng=np.random.default_rng(4))
+    motions = simulated_motions(times_ns, truth, rng=np.random.default_rng(4))
     for i, motion in enumerate(motions):
         np.testing.assert_allclose(motion.previous_from_current.as_matrix(), steps[i].as_matrix(), atol=1e-9)
     stated = np.mean([motion.covariance for motion in motions], axis=0)
@@ -205,7 +199,7 @@ def test_hlocs_estimates_of_the_stairs_are_as_good_as_published(shared_data, tmp
     """5.1 cm; in the unit of the scaled row the same."""
     for name in ("stairs_hloc", "stairs_x30_hloc"):
         row = next(row for row in ROWS if row.name == name)
-        draw = row.draw(RowContext(shared_data, tmp_path), 0, LocalizerConfig())
+        draw = row.draw(RowContext(shared_data, tmp_path), 0)
         places = [draw.segment.posterior(i).means for i in range(0, 1000, 4)]
         error_m = [place.distance(draw.segment.truth[4 * i])[0].max() for i, place in enumerate(places)]
         assert np.median(error_m) / draw.unit_m == pytest.approx(0.051, abs=0.003)

@@ -9,7 +9,6 @@ from filtering.estimate import Mode
 from filtering.se3 import Poses
 from sequences.scenes import find_scene
 from tests.helpers.corridors import corridor
-from vapor.benchmark.evaluation import Comparison
 from vapor.benchmark.trials import replay
 from vapor.benchmark.trials.choose import Excerpt, Trial
 from vapor.tracking.loop import Belief
@@ -27,9 +26,12 @@ def test_storeys_are_evaluated_where_they_look_alike_and_where_there_are_several
     off = Poses(truth.rotation, truth.translation + np.array([[0.0, 0.0, height * up] for up in (1.05, 1, 0, 0)]))
     modes = tuple((Mode(off[i], 0.01 * np.eye(6), 1.0),) for i in range(4))
     beliefs = dict.fromkeys(("kalman", "gaussian_sum", "filter"), Belief(modes, ["ambiguous"] * 4))
-    compared = Comparison(10**8 * np.arange(4), truth, dict.fromkeys(METHODS, off), beliefs, modes, 1, 1.0)
-    monkeypatch.setattr(replay, "follow_trial", lambda trial, setup, replay: None)
-    monkeypatch.setattr(replay, "compare", lambda followed: compared)
+    segment = SimpleNamespace(times_ns=10**8 * np.arange(4), truth=truth)
+    followed = SimpleNamespace(
+        segment=segment, beliefs=beliefs, image_modes=modes, particles=1, step_ms=1.0, kidnap_index=None
+    )
+    monkeypatch.setattr(replay, "follow_trial", lambda trial, setup, replay: followed)
+    monkeypatch.setattr(replay, "all_poses", lambda followed: dict.fromkeys(METHODS, off))
     storeys = Poses.concatenate([corridor(0, 5, z_m=z) for z in (0.0, height)])
     given = SimpleNamespace(
         ablation="full", cue_images=0, checkpoint=lambda: SimpleNamespace(prior_poses=storeys[:priors])

@@ -20,7 +20,7 @@ from sequences.trajectories.tum import write_tum
 from tests.helpers.checkout import CHECKOUT
 from tests.helpers.command_line import main
 from tests.helpers.simulated_run import simulated_steps
-from vapor.benchmark.commands.cells import new_table
+from vapor.benchmark.figures import new_table
 from vapor.commands import console
 from vapor.commands.terminal import Signals, write_error
 from vapor.pipeline.batch import Outcome, format_batch
@@ -154,9 +154,9 @@ def test_signals_within_a_python_program_stay_its_own(capsys):
 
 WORKERS = """
 import time
-from vapor.parallel.jobs import Workers, in_parallel
+from vapor.parallel import in_parallel
 try:
-    list(in_parallel(time.sleep, [(30,)] * 4, Workers(2)))
+    list(in_parallel(time.sleep, [(30,)] * 4, 2))
 except KeyboardInterrupt:
     raise SystemExit(130) from None
 """

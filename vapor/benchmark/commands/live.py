@@ -4,25 +4,22 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Annotated
 
 import tyro
-from rich.table import Table
 
 from filtering.errors import VaporTrackError, require_within
 from sequences.live.transport import MAX_DOMAIN
-from sequences.outputs import claim_folder
 from vapor.benchmark import PROGRAM
-from vapor.benchmark.commands.cells import new_table
+from vapor.benchmark.figures import table_of
 from vapor.benchmark.live.measure import Latency, Measured, measure
 from vapor.benchmark.live.traffic import read_walk
-from vapor.commands.console import InputPath, OutputPath, Overwrite, parse, show
+from vapor.commands.console import parse, show
 from vapor.commands.progress import progress
-from vapor.reporting.report import write_report
-from vapor.storage import fetched
 
 _LONGEST_MINUTES = 7 * 24 * 60
 
@@ -51,7 +48,7 @@ class Options:
 
     model: str
     """Model file, or name of a model that ships: staircase, ceiling."""
-    sequence: InputPath
+    sequence: Path
     """Recording of the place of the model, with odometry; its first 300 images are played forwards, backwards, and so
     on."""
     rates: tuple[float, ...] = (10.0, 30.0)
@@ -64,9 +61,6 @@ class Options:
     """ROS domain to do it in; nobody else may be in it."""
     live: str = ""
     """Further options of `live`, in one word: --live="--engine torch --reliable"."""
-    output: OutputPath | None = None
-    """Directory for live.json."""
-    overwrite: Overwrite = False
 
     def __post_init__(self) -> None:
         require_within(self, minutes=(0.01, _LONGEST_MINUTES), domain=(0, MAX_DOMAIN))
@@ -83,65 +77,38 @@ class Options:
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     o = parse("live", Options, arguments, program=PROGRAM)
-    recording = fetched(o.sequence)
-    if o.output is not None:
-        claim_folder(o.output, f"{PROGRAM} live", reads=[recording], overwrite=o.overwrite)
-    walk = read_walk(recording)
+    walk = read_walk(o.sequence)
     words = ["--model", o.model, *shlex.split(o.live)]
-    measured: list[Measured] = []
-    for size in o.sizes:
-        for rate in o.rates:
-            with progress(f"{rate:g} Hz, {size[0]}x{size[1]}", "seconds") as advance:
-                measured.append(
-                    measure(
-                        walk,
-                        words,
-                        domain=o.domain,
-                        rate=rate,
-                        size=size,
-                        duration_s=60.0 * o.minutes,
-                        advance=advance,
-                    )
-                )
-            if o.output is not None:
-                _write(o, o.output, measured)
-    show(_table(o, measured))
+    rows: dict[str, Measured] = {}
+    for (width, height), rate in product(o.sizes, o.rates):
+        camera = f"{width}x{height}, {rate:g} Hz"
+        with progress(camera, "seconds") as advance:
+            rows[camera] = measure(
+                walk,
+                words,
+                domain=o.domain,
+                rate=rate,
+                size=(width, height),
+                duration_s=60.0 * o.minutes,
+                advance=advance,
+            )
+    title = f"{o.model}, {o.minutes:g} min each: latencies are median, 99 % and longest, ms"
+    show(table_of(title, "camera", _COLUMNS, rows))
 
 
-def _write(o: Options, output: Path, measured: Sequence[Measured]) -> None:
-    settings = {
-        "model": o.model,
-        "sequence": str(o.sequence),
-        "minutes": o.minutes,
-        "live": o.live,
-    }
-    write_report(output / "live.json", {"settings": settings, "measured": [each.stored for each in measured]})
-
-
-def _table(o: Options, measured: Sequence[Measured]) -> Table:
-    table = new_table(
-        f"{o.model}, {o.minutes:g} min each: latencies are median, 99 % and longest, ms",
-        "camera",
-        *("played", "images\nsent", "answered", "image to pose", "odometry to\nbase pose", "memory, MB\nfirst, last"),
-        *("processor", "published\nlate, 99 %"),
-    )
-    for each in measured:
-        pose, usage = each.pose, each.usage
-        table.add_row(
-            f"{each.width}x{each.height}, {each.rate:g} Hz",
-            f"{each.speed:.2g}×",
-            str(pose.sent),
-            f"{100 * pose.answered / max(pose.sent, 1):.1f} %",
-            _cell(pose),
-            _cell(each.base_pose),
-            f"{usage.first_mb:.1f}  {usage.last_mb:.1f}",
-            f"{100 * usage.processor:.0f} %",
-            f"{each.late_p99_ms:.1f} ms",
-        )
-    return table
-
-
-def _cell(latency: Latency) -> str:
+def _latency(latency: Latency) -> str:
     if not latency.answered:
         return "none"
     return f"{latency.median_ms:.1f}  {latency.p99_ms:.1f}  {latency.max_ms:.0f}"
+
+
+_COLUMNS: dict[str, Callable[[Measured], str]] = {
+    "played": lambda each: f"{each.speed:.2g}×",
+    "images\nsent": lambda each: str(each.pose.sent),
+    "answered": lambda each: f"{100 * each.pose.answered / max(each.pose.sent, 1):.1f} %",
+    "image to pose": lambda each: _latency(each.pose),
+    "odometry to\nbase pose": lambda each: _latency(each.base_pose),
+    "memory, MB\nfirst, last": lambda each: f"{each.first_mb:.1f}  {each.last_mb:.1f}",
+    "processor": lambda each: f"{100 * each.processor:.0f} %",
+    "published\nlate, 99 %": lambda each: f"{each.late_p99_ms:.1f} ms",
+}

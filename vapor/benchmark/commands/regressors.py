@@ -2,32 +2,90 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+import re
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, replace
 from itertools import chain
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import tyro
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
 
-from sequences.atomic import atomic_output
+from filtering.errors import require_within
+from sequences.outputs import claim_folder
+from sequences.reader import SequenceReader
+from sequences.scenes import is_scene, scene_names
 from vapor.benchmark import PROGRAM
-from vapor.benchmark.commands.options import SharedOutputPath, claim_shared, publish_results
-from vapor.benchmark.regressors.table import TableConfig, TableExperiment, failures, markdown, parse_scene, scene_tables
-from vapor.commands.console import Overwrite, command_line, show
-from vapor.commands.progress import progress
+from vapor.benchmark.commands.options import require_each_once
+from vapor.benchmark.jobs import completed
+from vapor.benchmark.regressors.table import best_methods, failures, scene_tables
+from vapor.benchmark.regressors.training_runs import Scene, SyntheticWalk, TrainingRun, carry_out, rendered_height
+from vapor.commands.console import OutputPath, Overwrite, command_line, show
 from vapor.commands.train import Preset, parse_named
-from vapor.commands.workers import Scheduler, workers_for
-from vapor.evaluation.trajectory import RIGHT
-from vapor.parallel.jobs import Workers
-from vapor.reporting.html import page as html
-from vapor.reporting.html.page import Page, findings_page, write_page
+from vapor.reporting.html.page import findings_page, write_page
 from vapor.reporting.report import write_report
 from vapor.training.config import TrainConfig
-from vapor.training.presets import PRESETS
-from vapor.training_data.entries import files_read
+from vapor.training.presets import METHODS, PRESETS
+from vapor.training_data.entries import files_read, parse_entry, require_no_leakage
+from vapor.training_data.training_set import TrainingError
+
+
+@dataclass(frozen=True)
+class TableConfig:
+    """Settings of the table."""
+
+    methods: tuple[str, ...] = tuple(name for name in METHODS if name != "retrieval")
+    """Methods, as of `vapor-track train --method`."""
+    seeds: int = 3
+    """Training runs of each method on each scene."""
+    first_seed: int = 0
+    """Seed of the first of them."""
+    gamma: float = 0.1
+    """Fraction of an image's samples that must be near its true pose for it to count as right."""
+    sequences: int = 10
+    """Synthetic scenes: sequences that are trained on."""
+    frames: int = 500
+    """Images of each."""
+    test_sequences: int = 2
+    """Synthetic scenes: sequences that are tested on."""
+    test_frames: int = 300
+    """Images of each."""
+    num_samples: int = 1000
+    """Posterior samples per test image."""
+    localize: bool = False
+    """Run the particle filter over the test sequences with every trained model, too; they need odometry."""
+    workers: int = 2
+    """Training runs at a time, each with one thread."""
+    train: TrainConfig = field(default_factory=TrainConfig)
+    """How each network is trained; method and seed are the table's."""
+
+    def __post_init__(self) -> None:
+        counts = ("seeds", "sequences", "frames", "test_sequences", "test_frames", "num_samples", "workers")
+        require_within(self, gamma=(1e-6, 1.0), first_seed=(0, 10**9), **dict.fromkeys(counts, (1, 10**6)))
+        require_each_once("methods", self.methods, METHODS)
+
+    def synthetic_walks(self, scene: str) -> list[SyntheticWalk]:
+        """The walks of a synthetic scene, first those that are trained on."""
+        height = rendered_height(self.train.network.frame_size)
+        train = [SyntheticWalk(scene, "train", seed, self.frames, height) for seed in range(self.sequences)]
+        test = [SyntheticWalk(scene, "test", seed, self.test_frames, height) for seed in range(self.test_sequences)]
+        return [*train, *test]
+
+    def runs(self, scenes: Sequence[Scene]) -> list[TrainingRun]:
+        """A training run for each scene, method and seed; the label is the method."""
+        return [
+            TrainingRun(
+                scene,
+                method,
+                replace(METHODS[method](self.train), seed=seed),
+                self.gamma,
+                self.num_samples,
+                self.localize,
+            )
+            for seed in range(self.first_seed, self.first_seed + self.seeds)
+            for scene in scenes
+            for method in self.methods
+        ]
 
 
 @dataclass(frozen=True)
@@ -36,11 +94,9 @@ class Options:
 
     scenes: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="SCENE ...")]
     """Synthetic scenes by name, or your own data: NAME=TRAIN,...=TEST,... with whatever `train` reads."""
-    output: SharedOutputPath
-    """Directory for images, results, report.html, table.json and table.md, or its URL; an interrupted call goes
-    on."""
+    output: OutputPath
+    """Directory for images, results, report.html and table.json; an interrupted call goes on."""
     overwrite: Overwrite = False
-    scheduler: Scheduler = None
     preset: Preset = "demo"
     """Named settings of training, of which the options below change single ones; tables: small and fast, for the scenes
     of that name; paper-...: the paper's."""
@@ -50,55 +106,72 @@ class Options:
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     o = parse_named("regressors", Options, arguments, ("preset",), _config, PROGRAM)
-    with workers_for("regressors", o.config.workers, o.scheduler, PROGRAM) as workers:
-        _fill_table(o, workers, command_line("regressors", arguments, PROGRAM))
-
-
-def _fill_table(o: Options, workers: Workers, command: str) -> None:
-    scenes = [parse_scene(text) for text in o.scenes]
-    reads = chain(o.config.train.files_read, files_read([entry for s in scenes for entry in (*s.train, *s.test)]))
-    claim_shared(o.output, "regressors", workers, reads=reads, overwrite=o.overwrite)
-    experiment = TableExperiment(scenes, o.output, o.config, workers)
-    order = {method: k for k, method in enumerate(o.config.methods)}
-    settings = asdict(o.config) | {"train": _stored(o.config.train), "scenes": list(o.scenes)}
-    results: list[dict[str, Any]] = []
-    with progress("rendering", "walks") as advance:
-        for done, total in experiment.render():
-            advance(done, total)
-    with progress("training", "networks") as advance:
-        for result in experiment.train():
-            results.append(result)
-            results.sort(key=lambda r: (r["scene"], order[r["label"]], r["seed"]))
-            write_report(o.output / "table.json", {"settings": settings, "runs": results})
-            with atomic_output(o.output / "table.md") as partial:
-                partial.write_text(markdown(results, o.config.gamma), encoding="utf-8")
-            advance(len(results), len(o.scenes) * len(o.config.methods) * o.config.seeds)
-    write_page(o.output / "report.html", _table_page(results, o.config.gamma, settings, command))
-    publish_results(o.output)
-    for each in scene_tables(results, o.config.gamma):
-        table = Table(*each.columns, title=f"{each.scene}, {each.measured}", title_justify="left", box=SIMPLE_HEAD)
-        for cells in each.rows:
-            table.add_row(*cells)
-        show(table)
-    for line in failures(results):
-        show(line)
-
-
-def _table_page(results: Sequence[Mapping[str, Any]], gamma: float, settings: Mapping[str, Any], command: str) -> Page:
-    tables = scene_tables(results, gamma)
-    parts = [(each.scene, [html.table(each.columns, each.rows, each.measured)]) for each in tables]
-    best = [f"{each.scene}: {each.best} has the highest recall within {RIGHT}, {each.best_recall}." for each in tables]
-    headline = " ".join(best) or "No network could be trained."
-    asked = f"{len(results)} networks: every method on every scene, the same budget"
-    failed = ("What could not be trained", failures(results))
-    return findings_page(
-        "Regressors side by side", asked, headline, [*parts, failed], settings=settings, command=command
+    c = o.config
+    asked = [parse_scene(text) for text in o.scenes]
+    reads = chain(c.train.files_read, files_read([entry for s in asked for entry in (*s.train, *s.test)]))
+    claim_folder(o.output, f"{PROGRAM} regressors", reads=reads, overwrite=o.overwrite)
+    check_scenes(asked, c)
+    walks = [(walk, o.output) for scene in asked if not scene.train for walk in c.synthetic_walks(scene.name)]
+    completed("rendering", "walks", SyntheticWalk.render, walks, c.workers)
+    runs = c.runs([with_files(scene, c, o.output) for scene in asked])
+    results = completed("training", "networks", carry_out, [(run, o.output) for run in runs], c.workers)
+    results.sort(key=lambda result: (result["scene"], c.methods.index(result["label"]), result["seed"]))
+    train = {key: str(value) if isinstance(value, Path) else value for key, value in asdict(c.train).items()}
+    settings = asdict(c) | {"train": train, "scenes": list(o.scenes)}
+    write_report(o.output / "table.json", {"settings": settings, "runs": results})
+    tables, failed = scene_tables(results, c.gamma), failures(results)
+    page = findings_page(
+        "Regressors side by side",
+        f"{len(results)} networks: every method on every scene, the same budget",
+        " ".join(best_methods(results)) or "No network could be trained.",
+        [*((scene, [table]) for scene, table in tables.items()), ("What could not be trained", failed)],
+        settings=settings,
+        command=command_line("regressors", arguments, PROGRAM),
     )
-
-
-def _stored(config: TrainConfig) -> dict[str, Any]:
-    return {key: str(value) if isinstance(value, Path) else value for key, value in asdict(config).items()}
+    write_page(o.output / "report.html", page)
+    for shown in [*tables.values(), *failed]:
+        show(shown)
 
 
 def _config(preset: str) -> TableConfig:
     return TableConfig(train=PRESETS[preset])
+
+
+def parse_scene(text: str) -> Scene:
+    """A scene from the command line: the name of a synthetic one, or `NAME=TRAIN,...=TEST,...`.
+
+    Raises:
+        TrainingError: neither.
+    """
+    if is_scene(text):
+        return Scene(text, (), ())
+    name, *data = text.split("=")
+    train, test = (tuple(part.split(",")) for part in data) if len(data) == 2 else ((), ())
+    if not re.fullmatch(r"[\w.-]+", name) or not train or not all([*train, *test]):
+        expected = "or NAME=TRAIN,...=TEST,... with your own data"
+        raise TrainingError(f"{text}: expected one of {', '.join(scene_names())}, {expected}")
+    return Scene(name, train, test)
+
+
+def check_scenes(scenes: Sequence[Scene], config: TableConfig) -> None:
+    """Check scenes from `parse_scene` before anything is rendered or trained.
+
+    Raises:
+        TrainingError: a scene is tested on images that it is trained on.
+        VaporTrackError: no scene, one twice, or test data that cannot be read.
+    """
+    require_each_once("scenes", [scene.name for scene in scenes])
+    for scene in scenes:
+        require_no_leakage(scene.train, scene.test)
+        if config.train.validation_fraction > 0:
+            require_no_leakage(scene.train)
+        for entry in scene.test if config.localize else ():
+            SequenceReader(parse_entry(entry)[0])
+
+
+def with_files(scene: Scene, config: TableConfig, directory: Path) -> Scene:
+    """The scene with its files, which are rendered ones of a synthetic scene."""
+    if scene.train:
+        return scene
+    files = [str(walk.file(directory)) for walk in config.synthetic_walks(scene.name)]
+    return Scene(scene.name, tuple(files[: config.sequences]), tuple(files[config.sequences :]))

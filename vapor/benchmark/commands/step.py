@@ -27,6 +27,7 @@ from sequences.frame import Camera, Frame
 from sequences.images.decoding import decode_image_bytes
 from sequences.reader import SequenceReader
 from vapor.benchmark import PROGRAM
+from vapor.benchmark.commands.options import require_each_once
 from vapor.checkpoints.calibration import Calibration
 from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.commands.console import parse, show
@@ -34,26 +35,21 @@ from vapor.engines.engine import Device, EngineConfig
 from vapor.observation import VaporObservationModel
 from vapor.regressors.network_config import NetworkConfig, make_regressor
 from vapor.regressors.scene_box import SceneBox
+from vapor.reporting.drawing import as_jpeg
 from vapor.threads import limited_threads
 from vapor.training.presets import PRESETS
 
 _IMAGE_SHAPE = (240, 320, 3)
 _REMEMBERED = 1000  # images
 _STEP = Odometry(Poses.exp(np.array([0.05, 0, 0, 0, 0, 0.01])), np.diag([0.005**2] * 3 + [0.003**2] * 3), 0.1)
+_QUALITY = 90  # of JPEG images
 _WARM_UP = 3  # times that are not counted
 _PLACES, _SAMPLES = 30, 1000  # of an image that many places look like
 
 
 @dataclass(frozen=True)
 class Timing:
-    """Wall-clock time of one part of a step.
-
-    Attributes:
-        part: Name of the part.
-        median_ms: Median over the repetitions, milliseconds.
-        p95_ms: 95th percentile, milliseconds.
-        p99_ms: 99th percentile, milliseconds.
-    """
+    """Wall-clock time of one part of a step: median and percentiles over the repetitions, milliseconds."""
 
     part: str
     median_ms: float
@@ -66,7 +62,6 @@ def time_step(
     *,
     repetitions: int,
     hypotheses: Sequence[int],
-    seed: int,
     frames: Sequence[Frame] = (),
 ) -> list[Timing]:
     """Time decoding, network and filter separately; and, on a recording's images, landmarks and a whole step.
@@ -79,15 +74,14 @@ def time_step(
         models: The network by each way to run it, which take turns, and its number of posterior samples.
         repetitions: Of every part, after three that are not counted.
         hypotheses: Sizes of the beliefs.
-        seed: Of the image and all draws.
         frames: Images and odometry. Without any, the image is blurred noise, and no whole step is timed.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     image = frames[0].image if frames else _blurred_noise(rng)
     height, width, _ = image.shape
-    encoded = as_jpeg(image)
+    encoded = as_jpeg(image, _QUALITY)
     timings = [_time(f"decode a JPEG image of {width} × {height}", lambda: decode_image_bytes(encoded), repetitions)]
-    timings += time_by_turns(
+    timings += _time_by_turns(
         {
             f"network by {way}, {model.num_samples} samples": partial(model.propose, image, rng=rng)
             for way, model in models.items()
@@ -96,9 +90,9 @@ def time_step(
     )
     if frames:
         timings += _time_landmarks(next(iter(models.values())), frames, repetitions, rng)
-        timings += time_by_turns(
+        timings += _time_by_turns(
             {
-                f"whole step by {way}, image bytes to estimate": WholeStep(ParticleLocalizer(model, rng=rng), frames)
+                f"whole step by {way}, image bytes to estimate": _whole_step(ParticleLocalizer(model, rng=rng), frames)
                 for way, model in models.items()
             },
             repetitions,
@@ -115,13 +109,8 @@ def time_step(
     return timings
 
 
-def time_by_turns(parts: Mapping[str, Callable[[], object]], repetitions: int) -> list[Timing]:
-    """Time calls that take turns, so that all have their share of what else the machine does.
-
-    Args:
-        parts: The calls by name.
-        repetitions: Of each, after three that are not counted.
-    """
+def _time_by_turns(parts: Mapping[str, Callable[[], object]], repetitions: int) -> list[Timing]:
+    """Time calls that take turns, so that all have their share of what else the machine does."""
     durations_ms: dict[str, list[float]] = {part: [] for part in parts}
     for _ in range(repetitions + _WARM_UP):
         for part, call in parts.items():
@@ -149,30 +138,19 @@ def _time_landmarks(
     return [_time("landmarks: features, matches, verified poses", verify, repetitions)]
 
 
-class WholeStep:
+def _whole_step(localizer: ParticleLocalizer, frames: Sequence[Frame]) -> Callable[[], object]:
     """From an image's bytes to the estimate: every call is a step on the next image of a recording, over and over.
 
     From the last image to the first one the camera jumps, as if nothing were known of how it moved.
-
-    Args:
-        localizer: The filter and its network.
-        frames: Images, which are compressed here as JPEG, and the odometry between them.
     """
+    motions = [None, *(frame.odometry for frame in frames[1:])]
+    images = cycle(list(zip([as_jpeg(frame.image, _QUALITY) for frame in frames], motions, strict=True)))
 
-    def __init__(self, localizer: ParticleLocalizer, frames: Sequence[Frame]) -> None:
-        self._localizer = localizer
-        motions = [None, *(frame.odometry for frame in frames[1:])]
-        self._next = cycle(list(zip([as_jpeg(frame.image) for frame in frames], motions, strict=True)))
+    def step() -> None:
+        encoded, odometry = next(images)
+        localizer.step(decode_image_bytes(encoded), odometry)
 
-    def __call__(self) -> None:
-        """Take the step."""
-        encoded, odometry = next(self._next)
-        self._localizer.step(decode_image_bytes(encoded), odometry)
-
-
-def as_jpeg(image: UInt8[np.ndarray, "h w 3"]) -> bytes:
-    """An RGB image as the bytes of a JPEG file."""
-    return bytes(cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 90])[1])
+    return step
 
 
 def _blurred_noise(rng: np.random.Generator) -> UInt8[np.ndarray, "h w 3"]:
@@ -217,7 +195,7 @@ def _alike(count: int, errors: MeasurementNoise, images: int, rng: np.random.Gen
         walked = walked @ _STEP.previous_from_current
 
 
-def untrained(config: NetworkConfig) -> Checkpoint:
+def _untrained(config: NetworkConfig) -> Checkpoint:
     """A model with random weights, and random images in memory where it has one: it takes as long as a trained one."""
     import torch
 
@@ -231,10 +209,9 @@ def untrained(config: NetworkConfig) -> Checkpoint:
 
 
 def _time(part: str, call: Callable[[], object], repetitions: int) -> Timing:
-    return time_by_turns({part: call}, repetitions)[0]
+    return _time_by_turns({part: call}, repetitions)[0]
 
 
-_MAX_SEED = 2**63
 _IMAGES = 100  # of a recording at most: they are decoded before
 _Way = Literal["auto", "torch", "torch-bfloat16", "openvino", "openvino-bfloat16"]
 _WAYS: Mapping[_Way, EngineConfig] = {
@@ -268,17 +245,12 @@ class Options:
     """Processor threads of the network."""
     repetitions: int = 50
     """How often every part is timed."""
-    seed: int = 0
-    """Seed of all random draws."""
 
     def __post_init__(self) -> None:
-        require_within(
-            self, **dict.fromkeys(("num_samples", "threads", "repetitions"), (1, 10**6)), seed=(0, _MAX_SEED)
-        )
+        require_within(self, **dict.fromkeys(("num_samples", "threads", "repetitions"), (1, 10**6)))
         if self.preset is not None and self.preset not in PRESETS:
             raise VaporTrackError(f"unknown preset {self.preset!r}, expected one of {', '.join(PRESETS)}")
-        if not self.engines or len(set(self.engines)) < len(self.engines):
-            raise VaporTrackError(f"engines are {', '.join(self.engines) or 'none'}, expected each once, and one")
+        require_each_once("engines", self.engines)
         if self.sequence is not None and self.preset is not None:
             raise VaporTrackError("sequence and preset, expected one of them: random weights find no place")
         if not self.hypotheses or min(self.hypotheses) < 1:
@@ -295,7 +267,6 @@ def main(arguments: Sequence[str]) -> None:
             _models(o, camera),
             repetitions=o.repetitions,
             hypotheses=o.hypotheses if o.preset is None else (),
-            seed=o.seed,
             frames=frames,
         )
     for timing in timings:
@@ -305,7 +276,7 @@ def main(arguments: Sequence[str]) -> None:
 
 def _models(o: Options, camera: Camera | None) -> dict[str, VaporObservationModel]:
     """The network by each way to run it; two that turn out to be the same are one."""
-    network = o.model if o.preset is None else untrained(PRESETS[o.preset].network)
+    network = o.model if o.preset is None else _untrained(PRESETS[o.preset].network)
     models = {}
     for way in o.engines:
         asked = _WAYS[way]

@@ -9,12 +9,13 @@ from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Int64
 
 from filtering.estimate import Status
 from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.odometry import STATED_OVER_S, OdometryNoise, simulate_odometry
+from vapor.benchmark.recordings.storage import Observed
 from vapor.benchmark.trials.replay import Replay
 
 CONVERGED_S = 5.0
@@ -86,35 +87,18 @@ def a_third(replay: Replay, during: range) -> Replay:
 
 
 def _missing(replay: Replay, images: Collection[int]) -> Replay:
-    return shown(replay, images, lambda image: Poses.identity(0), np.zeros(len(replay.times_ns)))
+    return shown(replay, images, lambda image: Observed(Poses.identity(0), 0.0))
 
 
 def frozen(replay: Replay, during: range) -> Replay:
     """The last image is repeated, pixel by pixel. It is uninformative, and its score stays."""
-    ood_score = np.full(len(replay.times_ns), replay.ood_score[max(during.start - 1, 0)])
-    return shown(replay, during, lambda image: Poses.identity(0), ood_score)
+    last = replay.observed(max(during.start - 1, 0))
+    return shown(replay, during, lambda image: Observed(Poses.identity(0), last.ood_score))
 
 
-def shown(
-    replay: Replay,
-    during: Collection[int],
-    posterior_poses: Callable[[int], Poses],
-    ood_score: Float64[np.ndarray, " n"],
-) -> Replay:
-    """Other images are shown.
-
-    Args:
-        replay: n images.
-        during: The images that are replaced.
-        posterior_poses: Posterior samples of the other images, by the number of the image that each replaces.
-        ood_score: Of the other images, (n,).
-    """
-    affected = np.isin(np.arange(len(replay.times_ns)), [*during])
-    return replace(
-        replay,
-        posterior_poses=lambda image: (posterior_poses if image in during else replay.posterior_poses)(image),
-        ood_score=np.where(affected, ood_score, replay.ood_score),
-    )
+def shown(replay: Replay, during: Collection[int], observed: Callable[[int], Observed]) -> Replay:
+    """Other images are shown: their answers by the number of the image that each replaces."""
+    return replace(replay, observed=lambda image: (observed if image in during else replay.observed)(image))
 
 
 def standing_still(replay: Replay, during: range) -> Replay:
@@ -204,13 +188,11 @@ class Fault:
         meaning: What, as the tables call it.
         cause: Its change of a replay, or the film that the camera shows instead.
         lasts: For `FAULT_S`, to the end of the walk, or throughout the walk.
-        delay_s: By how many seconds it delays something; where images are further apart, it changes nothing.
     """
 
     meaning: str
     cause: Callable[[Replay, range], Replay] | Film
     lasts: Literal["a while", "to the end", "throughout"] = "a while"
-    delay_s: float | None = None
 
     def during(self, begin: int, times_ns: Int64[np.ndarray, " n"]) -> range:
         """The images of a walk that are affected, where the fault begins at one of them."""
@@ -231,7 +213,7 @@ FAULTS: Mapping[str, Fault] = MappingProxyType(
         "reset": Fault("odometry back at its origin", set_back),
         "scale": Fault("odometry 20 % long", too_long),
         "scale-throughout": Fault("odometry 20 % long, always", too_long, "throughout"),
-        "late": Fault("odometry 0.2 s late, always", late, "throughout", BEHIND_S),
+        "late": Fault("odometry 0.2 s late, always", late, "throughout"),
         "ahead": Fault("camera's clock 1 s ahead", ahead),
         "a-third": Fault("a third of images, always", a_third, "throughout"),
         "three-times": Fault("3 times the images, always", "three-times", "throughout"),
@@ -241,9 +223,3 @@ FAULTS: Mapping[str, Fault] = MappingProxyType(
     }
 )
 """Faults by name."""
-
-
-def impossible(times_ns: Int64[np.ndarray, " n"]) -> list[str]:
-    """Faults that would change nothing at the rate of these stamps (n,): delays of less than one image."""
-    delays = {name: fault.delay_s for name, fault in FAULTS.items() if fault.delay_s is not None}
-    return [name for name, delay_s in delays.items() if len(times_ns) < 2 or not images_in(delay_s, times_ns)]

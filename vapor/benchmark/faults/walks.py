@@ -17,12 +17,11 @@ from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
 from sequences.synthesize import camera_of
 from vapor.benchmark.faults.table import Film
-from vapor.benchmark.recordings.record import make_recording, record_file
+from vapor.benchmark.recordings.record import record_file
 from vapor.benchmark.recordings.storage import FileSettings, RecordingSettings, load_recording
 from vapor.benchmark.trials.choose import Trial
 from vapor.benchmark.trials.replay import Replay, follow_replay, follow_trial, load_replay, trial_settings
-from vapor.benchmark.trials.setup import Setup, setup_settings
-from vapor.storage import fetched
+from vapor.benchmark.trials.setup import Setup
 from vapor.tracking.loop import Belief
 
 NOISE_IMAGES = 50
@@ -60,6 +59,11 @@ class SyntheticWalk:
         """Seed of its recording."""
         return self.trial.segments[0].seed
 
+    @property
+    def own(self) -> RecordingSettings:
+        """The recording of its own images."""
+        return self.setup.recording(self.trial.scene, self.trial.kind, self.trial.segments[0])
+
     def settings(self) -> dict[str, Any]:
         """Everything that the run without a fault depends on, as JSON."""
         return trial_settings(self.trial, self.setup)
@@ -74,8 +78,7 @@ class SyntheticWalk:
 
     def films(self) -> Mapping[Film, RecordingSettings | FileSettings]:
         """The walk upside down and with more images, rendered again; black, noise and another scene are shared."""
-        (segment,), scene = self.trial.segments, self.trial.scene
-        own = self.setup.recording(scene, "cue", segment)
+        (segment,), scene, own = self.trial.segments, self.trial.scene, self.own
         shared = replace(own, seed=self.shared_seed)
         more = (_MORE_IMAGES * segment.start, _MORE_IMAGES * (segment.length - 1) + 1)
         return {
@@ -96,7 +99,7 @@ class SyntheticWalk:
     def record(self, film: RecordingSettings | FileSettings, directory: Path) -> None:
         """Render a film, and show it to the network."""
         assert isinstance(film, RecordingSettings)
-        make_recording(film, self.setup.checkpoint(), directory, self.setup.network.engine)
+        self.setup.record(film, directory)
 
 
 RECORDED = "recorded"
@@ -141,47 +144,29 @@ class RecordedWalk:
             for part in sorted(path.rglob("*")) if path.is_dir() else [path]:
                 if part.is_file():
                     made.update(_digest(part))
+        seen, config = self.setup.network_sha256, self.setup.config
         return FileSettings(
-            self.name,
-            made.hexdigest()[:16],
-            self.setup.network_sha256,
-            self.seed,
-            self.setup.num_samples,
-            precision=self.setup.network.precision,
+            self.name, made.hexdigest()[:16], seen, self.seed, config.num_samples, precision=config.precision
         )
 
     def settings(self) -> dict[str, Any]:
         """Everything that the run without a fault depends on, as JSON."""
-        return json.loads(json.dumps(setup_settings(self.setup) | {"recordings": [self.own.name]}))
+        return json.loads(json.dumps(self.setup.settings() | {"recordings": [self.own.name]}))
 
     def replay(self, directory: Path) -> Replay:
         """The input of the methods without a fault."""
-        recording = load_recording(self.own, directory)
-        odometry = tuple(map(recording.motion, range(len(recording.times_ns))))
-        truth, posterior_poses = recording.path.world_from_camera, recording.posterior_poses
-        return Replay(recording.times_ns, odometry, truth, posterior_poses, recording.ood_score, 0)
+        return Replay.of(load_recording(self.own, directory))
 
     def beliefs(self, replay: Replay) -> Mapping[str, Belief]:
         """The beliefs of the methods after each image of a replay."""
         return follow_replay(replay, self.setup, seed=(self.seed,)).beliefs
 
-    def count(self) -> int:
-        """Number of images that the file states."""
-        return SequenceReader(self.file, self.reading).num_images
-
     def films(self) -> Mapping[Film, RecordingSettings | FileSettings]:
         """Its images upside down, black and noise of their size, and the corridor; none with more images."""
-        setup, camera = self.setup, SequenceReader(self.file, self.reading).camera
-        elsewhere = RecordingSettings(
-            "corridor",  # no model of it ships
-            self.seed,
-            "early",
-            _OTHER_IMAGES,
-            setup.width,
-            setup.height,
-            setup.network_sha256,
-            setup.num_samples,
-            precision=setup.network.precision,
+        camera = SequenceReader(self.file, self.reading).camera
+        elsewhere = replace(
+            self.setup.walk("corridor", "cue", self.seed),  # no model of it ships
+            frames=_OTHER_IMAGES,
             camera=None if camera is None else astuple(camera),
         )
         return {
@@ -193,11 +178,11 @@ class RecordedWalk:
 
     def record(self, film: RecordingSettings | FileSettings, directory: Path) -> None:
         """Read or render a film, and show it to the network."""
-        checkpoint, engine = self.setup.checkpoint(), self.setup.network.engine
-        if isinstance(film, FileSettings):
-            record_file(film, fetched(self.file), checkpoint, directory, self.reading, engine)
+        if isinstance(film, RecordingSettings):
+            self.setup.record(film, directory)
         else:
-            make_recording(film, checkpoint, directory, engine)
+            engine = self.setup.config.engine
+            record_file(film, self.file, self.setup.checkpoint(), directory, self.reading, engine)
 
 
 FaultWalk = SyntheticWalk | RecordedWalk

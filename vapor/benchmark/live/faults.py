@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.live.transport import DdsOptions, Offer, Transport, join
 from sequences.recordings.message_definitions import decoder
@@ -22,16 +19,14 @@ from sequences.recordings.messages import pose_from_message, stamp_ns
 from sequences.recordings.source import RawMessage
 from sequences.trajectories.interpolation import interpolate
 from vapor.benchmark.live.measure import BASE_POSE, POSE, POSE_TYPE, require_alone, running_live
-from vapor.benchmark.live.robot import RobotConfig
+from vapor.benchmark.live.robot import NO_ORDER, Order, RobotConfig, robot_process
 from vapor.benchmark.live.traffic import IMAGE, ODOMETRY, Timeline, Walk
 
 _RATE, _ODOMETRY_HZ = 10.0, 50.0
 _SURE_S, _MOST_S, _AFTER_S = 5.0, 120.0, 30.0
 _FOUND_S, _AGAIN_S = 1.0, 1.0
+_OBEYED_S = 0.1  # until all that was sent before an order is answered
 _WRONG_M = 1.0
-_LOSSY = (
-    "<CycloneDDS><Domain><Internal><Test><XmitLossiness>200</XmitLossiness></Test></Internal></Domain></CycloneDDS>"
-)
 
 
 @dataclass(frozen=True)
@@ -40,8 +35,7 @@ class Fault:
 
     Attributes:
         label: For tables.
-        begin: Command to the robot at its beginning.
-        end: And at its end.
+        order: What the robot does from its beginning on; a topic comes again at its end.
         lasts_s: How long.
         killed: Whether the robot is killed, and restarted at the end.
         words: Further options of `live`.
@@ -49,8 +43,7 @@ class Fault:
     """
 
     label: str
-    begin: str = ""
-    end: str = ""
+    order: Order = NO_ORDER
     lasts_s: float = 10.0
     killed: bool = False
     words: tuple[str, ...] = ()
@@ -60,12 +53,12 @@ class Fault:
 FAULTS = {
     "none": Fault("no fault"),
     "killed": Fault("robot killed for 5 s, odometry restarted", lasts_s=5.0, killed=True),
-    "camera": Fault("camera silent", f"drop {IMAGE}", "resume"),
-    "odometry": Fault("odometry silent", f"drop {ODOMETRY}", "resume"),
+    "camera": Fault("camera silent", Order(dropped=IMAGE)),
+    "odometry": Fault("odometry silent", Order(dropped=ODOMETRY)),
     "slow": Fault("images at twice the speed", words=("--num-samples", "100000")),
     "lossy": Fault("20 % of datagrams lost", lossy=True),
     "lossy-reliable": Fault("the same, --reliable", words=("--reliable",), lossy=True),
-    "clock": Fault("clock steps back 5 s", "clock -5", lasts_s=1.0),
+    "clock": Fault("clock steps back 5 s", Order(clock_s=-5.0), lasts_s=1.0),
 }
 
 
@@ -117,26 +110,22 @@ class Outcome:
     """The outcome of a fault.
 
     Attributes:
-        label: Of the fault.
-        sure_after_s: Seconds from the first image to the estimate that was `converged` for 5 s; None for never.
         poses_per_s: Of the camera, during the fault.
         transforms_per_s: Likewise of tf.
         unsure_after_s: Seconds from the beginning of the fault until the status was not `converged`; None for never.
         statuses: All statuses from the beginning on, in their order, without repetitions.
         recovered_after_s: Seconds from the end of the fault until it was `converged` for a second; None for never.
         wrong_s: Seconds for which the pose of the base was published and more than 1 m off.
-        worst_m: The furthest that it was off, metres; NaN where none was published.
+        worst_m: The furthest that it was off, metres; None where it was not published.
     """
 
-    label: str
-    sure_after_s: float | None
     poses_per_s: float
     transforms_per_s: float
     unsure_after_s: float | None
     statuses: list[str]
     recovered_after_s: float | None
     wrong_s: float
-    worst_m: float
+    worst_m: float | None
 
 
 def status_at(statuses: Sequence[tuple[float, str]], at_s: float) -> str:
@@ -179,38 +168,6 @@ def wrong_for(times_s: Sequence[float], errors_m: Sequence[float], *, most_s: fl
 # --- running ----------------------------------------------------------------------------------------
 
 
-class _Robot:
-    def __init__(self, config: RobotConfig, *, lossy: bool) -> None:
-        command = [sys.executable, "-m", "vapor.benchmark.live.robot", config.word]
-        env = {**os.environ, **({"CYCLONEDDS_URI": _LOSSY} if lossy else {})}
-        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=env)
-        assert self._process.stdout is not None
-        begin = self._process.stdout.readline().strip()
-        if not begin:
-            raise VaporTrackError(f"the robot ended with status {self._process.wait()}")
-        self.begin_ns = int(begin)
-
-    def request(self, line: str) -> None:
-        assert self._process.stdin is not None
-        if line:
-            self._process.stdin.write(f"{line}\n")
-            self._process.stdin.flush()
-
-    def kill(self) -> None:
-        self._process.kill()
-        self._process.communicate()
-
-
-@contextmanager
-def _ended(robot: _Robot) -> Iterator[list[_Robot]]:
-    """Robots, of which the last one is killed at the end."""
-    robots = [robot]
-    try:
-        yield robots
-    finally:
-        robots[-1].kill()
-
-
 def run_fault(
     fault: Fault, recording: Path, walk: Walk, words: Sequence[str], *, domain: int, sleep: Callable[[float], None]
 ) -> Outcome:
@@ -224,70 +181,76 @@ def run_fault(
     Raises:
         VaporTrackError: others are in the domain, or `live` does not end well.
     """
-    config = RobotConfig(str(recording), domain, _RATE, _ODOMETRY_HZ)
     received = Timelines()
-    with closing(join(DdsOptions(domain=domain, localhost=True))) as transport:
+    with (
+        TemporaryDirectory(prefix="vapor-track-robot-") as folder,
+        closing(join(DdsOptions(domain=domain, localhost=True))) as transport,
+    ):
+        config = RobotConfig(recording, Path(folder), domain, _RATE, _ODOMETRY_HZ, lossy=fault.lossy)
         sleep(_FOUND_S)
         require_alone(transport)
-        with running_live(domain, [*words, *fault.words]), _ended(_Robot(config, lossy=fault.lossy)) as robots:
+        with running_live(domain, [*words, *fault.words]), robot_process(config) as robot:
             received.listen(transport)
-            begun_s = time.monotonic()
-            sure_s = None
-            while sure_s is None and time.monotonic() < begun_s + _MOST_S:
+            begun_s = now_s = time.monotonic()
+            since_s: float | None = None
+            while (since_s is None or now_s - since_s < _SURE_S) and now_s < begun_s + _MOST_S:
                 sleep(0.1)
-                since_s = sure_since(received.statuses, begun_s, time.monotonic())
-                if since_s is not None and time.monotonic() - since_s >= _SURE_S:
-                    sure_s = time.monotonic()
-            begin_s = time.monotonic()
-            robots[0].request(fault.begin)
+                now_s = time.monotonic()
+                since_s = sure_since(received.statuses, begun_s, now_s)
+            first_ns = again_ns = robot.begin_ns
             if fault.killed:
-                robots[0].kill()
-            sleep(fault.lasts_s)
-            if fault.killed:
-                config = replace(config, begin_ns=robots[0].begin_ns, restarted=True)
-                robots.append(_Robot(config, lossy=fault.lossy))
-            robots[-1].request(fault.end)
-            end_s = time.monotonic()
-            sleep(_AFTER_S)
-            until_s, begin_ns = time.monotonic(), robots[0].begin_ns
-    return _outcome(fault, received, walk, begin_ns, (begun_s, sure_s, begin_s, end_s, until_s))
+                begin_s = time.monotonic()
+                robot.kill()
+                sleep(fault.lasts_s)
+                with robot_process(replace(config, begin_ns=first_ns)) as again:
+                    again_ns = again.begin_ns
+                    end_s = time.monotonic()
+                    sleep(_AFTER_S)
+            else:
+                robot.obey(fault.order)
+                sleep(_OBEYED_S)
+                begin_s = time.monotonic()
+                sleep(fault.lasts_s)
+                robot.obey(replace(fault.order, dropped=""))
+                end_s = time.monotonic()
+                sleep(_AFTER_S)
+            until_s = time.monotonic()
+    return _outcome(fault, received, walk, (first_ns, again_ns), (begin_s, end_s, until_s))
 
 
 def _outcome(
     fault: Fault,
     received: Timelines,
     walk: Walk,
-    walk_ns: int,
-    at_s: tuple[float, float | None, float, float, float],
+    begun_ns: tuple[int, int],
+    at_s: tuple[float, float, float],
 ) -> Outcome:
-    begun_s, sure_s, begin_s, end_s, until_s = at_s
+    begin_s, end_s, until_s = at_s
     lasted_s = end_s - begin_s
     within = [each for each in received.statuses if begin_s < each[0] <= until_s]
     unsure_s = next((told_s for told_s, status in within if status != "converged"), None)
     again_s = sure_from(received.statuses, end_s, until_s)
     bases = [base for base in received.bases if begin_s <= base[0] <= until_s]
-    shift_ns = 5_000_000_000 if fault.begin.startswith("clock") else 0
-    errors_m = _errors_m([(s, n + shift_ns, pose) for s, n, pose in bases], walk, walk_ns)
+    shift_ns = round(fault.order.clock_s * 1e9)
+    # Since when the walk was under way: a robot that is restarted goes on from where it was at that time.
+    elapsed_s = [(stamp - shift_ns - begun_ns[told_s >= end_s]) * 1e-9 for told_s, stamp, _ in bases]
+    errors_m = _errors_m(elapsed_s, [pose for _, _, pose in bases], walk) if bases else []
     return Outcome(
-        fault.label,
-        None if sure_s is None else sure_s - begun_s - _SURE_S,
         sum(begin_s <= told_s < end_s for told_s, _ in received.poses) / lasted_s,
         sum(begin_s <= told_s < end_s for told_s in received.transforms) / lasted_s,
         None if unsure_s is None else unsure_s - begin_s,
         [status for _, status in changes([(begin_s, status_at(received.statuses, begin_s)), *within])],
         None if again_s is None else again_s - end_s,
         wrong_for([base[0] for base in bases], errors_m),
-        max(errors_m, default=float("nan")),
+        max(errors_m, default=None),
     )
 
 
-def _errors_m(bases: Sequence[tuple[float, int, Poses]], walk: Walk, walk_ns: int) -> list[float]:
+def _errors_m(elapsed_s: Sequence[float], world_from_base: Sequence[Poses], walk: Walk) -> list[float]:
+    """How far poses of the base are off, at so many seconds of the walk."""
     assert walk.world_from_camera is not None
-    if not bases:
-        return []
-    elapsed_s = np.array([stamp - walk_ns for _, stamp, _ in bases]) * 1e-9
-    at_ns = Timeline(walk.times_ns, _RATE).recorded_ns(elapsed_s)
+    at_ns = Timeline(walk.times_ns, _RATE).recorded_ns(np.array(elapsed_s))
     truth, _ = interpolate(walk.times_ns, walk.world_from_camera, at_ns, max_gap_s=np.inf)
     truth = truth @ walk.base_from_camera.inverse()
-    away = Poses.stack([pose for _, _, pose in bases]).translation - truth.translation
+    away = Poses.stack(list(world_from_base)).translation - truth.translation
     return np.linalg.norm(away, axis=-1).tolist()

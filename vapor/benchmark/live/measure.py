@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import os
-import signal
 import subprocess
 import sys
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -19,8 +18,9 @@ import numpy as np
 from jaxtyping import Float64
 
 from filtering.errors import VaporTrackError
+from sequences.live.replay import replay
 from sequences.live.transport import DdsOptions, Offer, Transport, join
-from vapor.benchmark.live.traffic import IMAGE, ODOMETRY, Sent, Traffic, Walk, play, stamp_of
+from vapor.benchmark.live.traffic import IMAGE, ODOMETRY, REPLAYED, AlteringTransport, Walk, stamp_of, write_walk
 
 POSE, BASE_POSE = "/estimate/pose", "/estimate/base_pose"
 POSE_TYPE = "geometry_msgs/PoseWithCovarianceStamped"
@@ -51,55 +51,26 @@ class Latency:
 
 
 @dataclass(frozen=True)
-class Usage:
-    """Resources of a process.
-
-    Attributes:
-        first_mb: Resident memory, the mean of the first minutes after it has warmed up, megabytes.
-        last_mb: The mean of as many minutes at the end.
-        most_mb: The most there ever was.
-        processor: Seconds of processor time a second.
-        each_mb: Memory each second.
-    """
-
-    first_mb: float
-    last_mb: float
-    most_mb: float
-    processor: float
-    each_mb: list[float]
-
-
-@dataclass(frozen=True)
 class Measured:
     """Measurements of one camera.
 
     Attributes:
-        rate: Images a second.
         speed: Seconds of the recording that were played in one.
         pose: From an image to the pose of the camera.
         base_pose: From odometry to the pose of the base, which is not published while the estimate is not converged.
-        usage: Of the process.
+        first_mb: Resident memory of the process in megabytes, the mean of five minutes after it has warmed up.
+        last_mb: The mean of as many minutes at the end.
+        processor: Seconds of its processor time a second.
         late_p99_ms: How late messages were published, milliseconds, 99 %.
     """
 
-    rate: float
-    width: int
-    height: int
     speed: float
     pose: Latency
     base_pose: Latency
-    usage: Usage
+    first_mb: float
+    last_mb: float
+    processor: float
     late_p99_ms: float
-
-    @property
-    def stored(self) -> dict[str, Any]:
-        """All of it, as JSON; None for unknown values."""
-        return {
-            name: {key: None if each != each else each for key, each in value.items()}
-            if isinstance(value, dict)
-            else value
-            for name, value in asdict(self).items()
-        }
 
 
 def latency_of(sent_ns: Mapping[int, int], arrived_ns: Iterable[tuple[int, int]]) -> Latency:
@@ -152,26 +123,26 @@ class LiveProcess:
     log: Path
 
     def require_running(self) -> None:
-        """Check that it has not ended. Raises VaporTrackError with the last line that it printed."""
+        """Check that it has not ended. Raises VaporTrackError with what it printed."""
         if (status := self.process.poll()) is not None:
-            raise VaporTrackError(f"`vapor-track live` ended with status {status}: {self._last_line}")
+            raise VaporTrackError(f"`vapor-track live` ended with status {status}: {self.printed}")
 
     def end(self) -> None:
-        """End it as Ctrl-C does. Raises VaporTrackError where it does not end well."""
+        """End it by SIGTERM. Raises VaporTrackError where it does not end well."""
         self.require_running()
-        self.process.send_signal(signal.SIGINT)
+        self.process.terminate()
         try:
             status = self.process.wait(_END_S)
         except subprocess.TimeoutExpired:
-            raise VaporTrackError(f"`vapor-track live` goes on {_END_S:.0f} s after Ctrl-C") from None
+            raise VaporTrackError(f"`vapor-track live` goes on {_END_S:.0f} s after SIGTERM") from None
         if status:
-            raise VaporTrackError(f"`vapor-track live` ended with status {status} by Ctrl-C: {self._last_line}")
+            raise VaporTrackError(f"`vapor-track live` ended with status {status} by SIGTERM: {self.printed}")
 
     @property
     def memory_mb(self) -> float:
         """Its resident memory, megabytes."""
-        lines = Path(f"/proc/{self.process.pid}/status").read_text(encoding="ascii", errors="replace").splitlines()
-        return next((int(line.split()[1]) * 1024e-6 for line in lines if line.startswith("VmRSS")), 0.0)
+        pages = Path(f"/proc/{self.process.pid}/statm").read_text(encoding="ascii").split()[1]
+        return int(pages) * os.sysconf("SC_PAGE_SIZE") * 1e-6
 
     @property
     def processor_s(self) -> float:
@@ -181,9 +152,9 @@ class LiveProcess:
         return (int(user) + int(system)) / os.sysconf("SC_CLK_TCK")
 
     @property
-    def _last_line(self) -> str:
-        lines = self.log.read_text(encoding="utf-8", errors="replace").split("\n")
-        return next((line for line in reversed(lines) if line.strip()), "it printed nothing")
+    def printed(self) -> str:
+        """What it printed."""
+        return self.log.read_text(encoding="utf-8", errors="replace").strip() or "it printed nothing"
 
 
 @contextmanager
@@ -196,7 +167,7 @@ def running_live(domain: int, words: Sequence[str]) -> Iterator[LiveProcess]:
     command = [sys.executable, "-m", "vapor.track", "live", "--localhost", "--domain", str(domain), *words]
     with TemporaryDirectory(prefix="vapor-track-live-") as folder:
         log = Path(folder) / "live.log"
-        with log.open("wb") as out, _heeded_by_children(signal.SIGINT):
+        with log.open("wb") as out:
             process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.STDOUT)
         live = LiveProcess(process, log)
         try:
@@ -207,48 +178,7 @@ def running_live(domain: int, words: Sequence[str]) -> Iterator[LiveProcess]:
             process.wait()
 
 
-@contextmanager
-def _heeded_by_children(number: signal.Signals) -> Iterator[None]:
-    """Have processes that are started heed a signal, which those in the background of a shell ignore otherwise."""
-    if signal.getsignal(number) is not signal.SIG_IGN:
-        yield
-        return
-    signal.signal(number, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        signal.signal(number, signal.SIG_IGN)
-
-
 # --- measuring --------------------------------------------------------------------------------------
-
-
-@dataclass
-class Answers:
-    """What comes on a topic: stamps, and when by the monotonic clock, in nanoseconds."""
-
-    arrived_ns: list[tuple[int, int]] = field(default_factory=list)
-
-    def listen(self, transport: Transport, topic: str) -> None:
-        """Take all that comes from now on."""
-
-        def take(raw: Any) -> None:
-            at_ns = time.monotonic_ns()
-            self.arrived_ns.append((stamp_of(raw.data), at_ns))
-
-        transport.subscribe(Offer(topic, POSE_TYPE, reliable=True, latched=False), take)
-
-
-@dataclass
-class _AllSent:
-    """When messages were sent, by topic and stamp, and how late: numbers alone, which no garbage collector looks at."""
-
-    at_ns: defaultdict[str, dict[int, int]] = field(default_factory=lambda: defaultdict(dict))
-    late_s: list[float] = field(default_factory=list)
-
-    def add(self, sent: Sent) -> None:
-        self.at_ns[sent.topic][sent.stamp_ns] = sent.at_ns
-        self.late_s.append(sent.late_s)
 
 
 def measure(
@@ -273,27 +203,62 @@ def measure(
         VaporTrackError: others are in the domain, or `live` ends by itself, does not answer within two minutes, or does
             not end well.
     """
-    traffic = Traffic(walk, rate, size)
-    poses, base_poses = Answers(), Answers()
-    with closing(join(DdsOptions(domain=domain, localhost=True))) as transport:
+    sent_ns: defaultdict[str, dict[int, int]] = defaultdict(dict)
+    late_s: list[float] = []
+    times_s: list[float] = []
+    each_mb: list[float] = []
+
+    def note(topic: str, data: bytes) -> bytes:
+        stamp_ns = stamp_of(data)  # when it is due
+        late_s.append((time.time_ns() - stamp_ns) * 1e-9)
+        sent_ns[topic][stamp_ns] = time.monotonic_ns()
+        return data
+
+    with (
+        TemporaryDirectory(prefix="vapor-track-walk-") as folder,
+        closing(join(DdsOptions(domain=domain, localhost=True))) as transport,
+    ):
+        timeline = write_walk(Path(folder) / "walk.mcap", walk, rate, size)
         time.sleep(_FOUND_S)
         require_alone(transport)
         with running_live(domain, words) as live:
-            poses.listen(transport, POSE)
-            base_poses.listen(transport, BASE_POSE)
-            playing = play(transport, traffic)
+            poses, base_poses = (_listen(transport, topic) for topic in (POSE, BASE_POSE))
+            playing = replay(Path(folder) / "walk.mcap", AlteringTransport(transport, note), REPLAYED)
             _play_until_answered(playing, live, poses)
-            sent, usage = _play_and_watch(playing, live, duration_s, advance)
+            sent_ns.clear()
+            late_s.clear()
+            begin_s, begin_processor_s = time.monotonic(), live.processor_s
+            for _ in playing:
+                elapsed_s = time.monotonic() - begin_s
+                if elapsed_s >= len(times_s):  # each second
+                    live.require_running()
+                    times_s.append(elapsed_s)
+                    each_mb.append(live.memory_mb)
+                    advance(int(elapsed_s), int(duration_s))
+                if elapsed_s >= duration_s:
+                    break
+            processor = (live.processor_s - begin_processor_s) / (time.monotonic() - begin_s)
             time.sleep(_LAST_ANSWERS_S)
     return Measured(
-        rate,
-        *size,
-        traffic.timeline.speed,
-        latency_of(sent.at_ns[IMAGE], poses.arrived_ns),
-        latency_of(sent.at_ns[ODOMETRY], base_poses.arrived_ns),
-        usage,
-        float(np.percentile(sent.late_s, 99)) * 1e3,
+        timeline.speed,
+        latency_of(sent_ns[IMAGE], poses),
+        latency_of(sent_ns[ODOMETRY], base_poses),
+        *first_and_last(times_s, each_mb),
+        processor,
+        float(np.percentile(late_s, 99)) * 1e3,
     )
+
+
+def _listen(transport: Transport, topic: str) -> list[tuple[int, int]]:
+    """Stamps of all that comes on a topic from now on, and when by the monotonic clock, in nanoseconds."""
+    arrived_ns: list[tuple[int, int]] = []
+
+    def take(raw: Any) -> None:
+        at_ns = time.monotonic_ns()
+        arrived_ns.append((stamp_of(raw.data), at_ns))
+
+    transport.subscribe(Offer(topic, POSE_TYPE, reliable=True, latched=False), take)
+    return arrived_ns
 
 
 def require_alone(transport: Transport) -> None:
@@ -305,36 +270,14 @@ def require_alone(transport: Transport) -> None:
         )
 
 
-def _play_until_answered(playing: Iterator[Sent], live: LiveProcess, poses: Answers) -> None:
+def _play_until_answered(playing: Iterator[object], live: LiveProcess, poses: Sequence[tuple[int, int]]) -> None:
     end_s = look_s = time.monotonic()
     end_s += _START_S
     for _ in playing:
-        if poses.arrived_ns:
+        if poses:
             return
         if (now_s := time.monotonic()) > look_s:
             live.require_running()
             look_s = now_s + 1.0
         if now_s > end_s:
-            raise VaporTrackError(f"no {POSE} in {_START_S:.0f} s: {live.log.read_text(encoding='utf-8').strip()}")
-
-
-def _play_and_watch(
-    playing: Iterator[Sent], live: LiveProcess, duration_s: float, advance: Callable[[int, int], None]
-) -> tuple[_AllSent, Usage]:
-    """Play for so long; gives the messages sent, and the resources of the process each second."""
-    begin_s, begin_processor_s = time.monotonic(), live.processor_s
-    sent = _AllSent()
-    times_s: list[float] = []
-    each_mb: list[float] = []
-    for each in playing:
-        sent.add(each)
-        elapsed_s = time.monotonic() - begin_s
-        if elapsed_s >= len(times_s):
-            live.require_running()
-            times_s.append(elapsed_s)
-            each_mb.append(live.memory_mb)
-            advance(int(elapsed_s), int(duration_s))
-        if elapsed_s >= duration_s:
-            break
-    processor = (live.processor_s - begin_processor_s) / (time.monotonic() - begin_s)
-    return sent, Usage(*first_and_last(times_s, each_mb), max(each_mb), processor, each_mb)
+            raise VaporTrackError(f"no {POSE} in {_START_S:.0f} s: {live.printed}")

@@ -1,26 +1,24 @@
-"""A robot in a process of its own, that can be killed: it plays a walk, and does on request what robots should not.
-
-It reads requests from standard input, a line each: `drop TOPIC`, `resume`, `clock SECONDS`.
-"""
+"""A robot in a process of its own, that can be killed: it plays a walk, and does on request what robots should not."""
 
 from __future__ import annotations
 
-import json
-import sys
-import threading
+import multiprocessing
+import os
 import time
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
 
-from filtering.se3 import Poses
+from filtering.errors import VaporTrackError
+from sequences.live.replay import replay
 from sequences.live.transport import DdsOptions, join
-from sequences.recordings.mcap_writer import ros_poses
-from sequences.recordings.message_definitions import decoder, encoder
-from sequences.recordings.messages import pose_from_message
-from vapor.benchmark.live.traffic import ODOMETRY, Altered, Outgoing, Traffic, play, read_walk
+from vapor.benchmark.live.traffic import REPLAYED, AlteringTransport, read_walk, stamp_of, with_stamp, write_walk
 
-_FOUND_S = 1.0
+_LOSSY = (
+    "<CycloneDDS><Domain><Internal><Test><XmitLossiness>200</XmitLossiness></Test></Internal></Domain></CycloneDDS>"
+)
 
 
 @dataclass(frozen=True)
@@ -29,90 +27,98 @@ class RobotConfig:
 
     Attributes:
         recording: The walk.
+        folder: For what it plays.
         domain: ROS domain.
         rate: Images a second.
         odometry_hz: Messages of odometry a second.
-        begin_ns: When the walk began, by the clock of this machine; 0 for now.
-        restarted: Whether its odometry begins at the identity wherever it is.
+        lossy: Whether a fifth of its datagrams is lost.
+        begin_ns: When the walk began, by the clock of this machine; 0 for now. Odometry begins at the identity now.
     """
 
-    recording: str
+    recording: Path
+    folder: Path
     domain: int
     rate: float
     odometry_hz: float
+    lossy: bool = False
     begin_ns: int = 0
-    restarted: bool = False
-
-    @property
-    def word(self) -> str:
-        """All of it, as the argument of the process."""
-        return json.dumps(asdict(self))
 
 
-class Robot:
-    """What becomes of messages; requests come from another thread."""
+@dataclass(frozen=True)
+class Order:
+    """What a robot does from now on: it leaves out a topic, and its clock is wrong by some seconds."""
 
-    def __init__(self, *, restarted: bool) -> None:
-        self._dropped: frozenset[str] = frozenset()
-        self._shift_ns = 0
-        self._restarted = restarted
-        self._now_from_before: Poses | None = None
+    dropped: str = ""
+    clock_s: float = 0.0
 
-    def request(self, line: str) -> None:
-        """Obey a line from now on."""
-        words = line.split()
-        if words[:1] == ["drop"]:
-            self._dropped = frozenset(words[1:])
-        elif words == ["resume"]:
-            self._dropped = frozenset()
-        elif words[:1] == ["clock"]:
-            self._shift_ns = round(float(words[1]) * 1e9)
-
-    def alter(self, outgoing: Outgoing) -> Altered:
-        """See `play`."""
-        if outgoing.topic in self._dropped:
+    def altered(self, topic: str, data: bytes) -> bytes | None:
+        """The message that it publishes in place of one; None for none."""
+        if topic == self.dropped:
             return None
-        data = (
-            self._restarted_odometry(outgoing.data) if self._restarted and outgoing.topic == ODOMETRY else outgoing.data
-        )
-        return data, self._shift_ns
-
-    def _restarted_odometry(self, data: bytes) -> bytes:
-        """Odometry that began at the identity with the first message."""
-        message = decoder("nav_msgs/Odometry")(data)
-        pose = pose_from_message(message.pose.pose)
-        if self._now_from_before is None:
-            self._now_from_before = pose.inverse()
-        fields: dict[str, Any] = {
-            "header": {"frame_id": message.header.frame_id},
-            "child_frame_id": message.child_frame_id,
-            "pose": {"pose": ros_poses(self._now_from_before @ pose)},
-            "twist": {"covariance": message.twist.covariance},
-        }
-        return encoder("nav_msgs/Odometry")(fields)
+        return with_stamp(data, stamp_of(data) + round(self.clock_s * 1e9)) if self.clock_s else data
 
 
-def main(word: str) -> None:
-    """Play without end; prints when the walk began, in nanoseconds, once others had time to find it."""
-    config = RobotConfig(**json.loads(word))
-    traffic = Traffic(read_walk(Path(config.recording)), config.rate, odometry_hz=config.odometry_hz)
-    robot = Robot(restarted=config.restarted)
+NO_ORDER = Order()
+"""A robot that does as robots should."""
 
-    def listen() -> None:
-        for line in sys.stdin:
-            robot.request(line)
 
-    threading.Thread(target=listen, daemon=True).start()
-    transport = join(DdsOptions(domain=config.domain, localhost=True))
+class RobotProcess:
+    """A robot that plays in a process of its own.
+
+    Attributes:
+        begin_ns: When its walk began, by the clock of this machine.
+    """
+
+    def __init__(self, config: RobotConfig) -> None:
+        spawning = multiprocessing.get_context("spawn")
+        self._orders, its_end = spawning.Pipe()
+        self._process = spawning.Process(target=_play, args=(config, its_end), daemon=True)
+        self._process.start()
+        its_end.close()
+        try:
+            self.begin_ns = int(self._orders.recv())
+        except EOFError:
+            self._process.join()
+            raise VaporTrackError(f"the robot ended with status {self._process.exitcode}") from None
+
+    def obey(self, order: Order) -> None:
+        """Let it follow an order from now on."""
+        self._orders.send(order)
+
+    def kill(self) -> None:
+        """End it at once."""
+        self._process.kill()
+        self._process.join()
+
+
+@contextmanager
+def robot_process(config: RobotConfig) -> Iterator[RobotProcess]:
+    """A robot, which is killed at the end."""
+    robot = RobotProcess(config)
+    try:
+        yield robot
+    finally:
+        robot.kill()
+
+
+def _play(config: RobotConfig, orders: Connection) -> None:
+    """Play without end; sends when the walk began, once the first message is due."""
+    if config.lossy:
+        os.environ["CYCLONEDDS_URI"] = _LOSSY
     from_s = (time.time_ns() - config.begin_ns) * 1e-9 if config.begin_ns else 0.0
-    begun = False
-    for sent in play(transport, traffic, from_s=from_s, alter=robot.alter):
+    order, begun = NO_ORDER, False
+
+    def alter(topic: str, data: bytes) -> bytes | None:
+        nonlocal order, begun
         if not begun:
             begun = True
-            sys.stdout.write(f"{time.time_ns() - round(from_s * 1e9)}\n")
-            sys.stdout.flush()
-        del sent
+            orders.send(stamp_of(data) - round(from_s * 1e9))
+        if orders.poll():
+            order = orders.recv()
+        return order.altered(topic, data)
 
-
-if __name__ == "__main__":
-    main(sys.argv[1])
+    path = config.folder / f"walk-{os.getpid()}.mcap"
+    write_walk(path, read_walk(config.recording), config.rate, odometry_hz=config.odometry_hz, from_s=from_s)
+    transport = join(DdsOptions(domain=config.domain, localhost=True))
+    for _ in replay(path, AlteringTransport(transport, alter), REPLAYED):
+        pass

@@ -1,15 +1,12 @@
-"""A robot that is played: the images, odometry and intrinsics of a recorded walk as ROS 2 topics, for any duration."""
+"""A robot that is played: a recorded walk there and back as a recording for `replay`, and what becomes of messages."""
 
 from __future__ import annotations
 
-import heapq
 import struct
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Any, NamedTuple, overload
 
 import cv2
 import numpy as np
@@ -18,27 +15,22 @@ from jaxtyping import Float64, Int64, UInt8
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.frame import Camera
-from sequences.live.transport import Transport
+from sequences.live.replay import ReplayOptions
+from sequences.live.transport import Offer, Publish, Transport
 from sequences.reader import SequenceReader
 from sequences.recordings.bag import Bag
-from sequences.recordings.mcap_writer import (
-    BASE_FRAME,
-    CAMERA_FRAME,
-    ODOM_FRAME,
-    ros_header,
-    ros_poses,
-    ros_transform,
-)
-from sequences.recordings.message_definitions import encoder
 from sequences.recordings.messages import odometry_from_message
-from sequences.recordings.source import TF_STATIC
+from sequences.recordings.source import TF_STATIC, RawMessage
 from sequences.trajectories.interpolation import interpolate
+from sequences.writer import SequenceWriter
+from vapor.reporting.drawing import as_jpeg
 
 MOST_IMAGES = 300
-IMAGE, ODOMETRY, CAMERA_INFO = "/camera/image/compressed", "/odom", "/camera/camera_info"
-"""Topics; compressed images are on /camera/image/compressed."""
+IMAGE, ODOMETRY = "/camera/image/compressed", "/odom"
+"""Topics of a `SequenceWriter`."""
+REPLAYED = ReplayOptions(loop=True, restamp=True, delay_s=0.0)
+"""How `replay` plays a walk: over and over, with stamps of now."""
 _JPEG_QUALITY = 92
-_LONGEST_SLEEP_S = 0.05
 _UNMEASURED = 1e6
 _STAMP = struct.Struct("<iI")  # behind the four bytes that every message begins with, where it begins with a header
 
@@ -66,11 +58,6 @@ class Walk:
     odometry_ns: Int64[np.ndarray, " m"]
     odom_from_base: Poses
     twist_covariances: Float64[np.ndarray, "m 6 6"]
-
-    @property
-    def rate(self) -> float:
-        """Images a second, on average."""
-        return (len(self.times_ns) - 1) * 1e9 / float(self.times_ns[-1] - self.times_ns[0])
 
 
 def read_walk(recording: Path) -> Walk:
@@ -105,40 +92,6 @@ def read_walk(recording: Path) -> Walk:
     )
 
 
-# --- schedule ----------------------------------------------------------------------------
-
-
-@overload
-def folded(position: int, end: int) -> int: ...
-@overload
-def folded(position: Int64[np.ndarray, " n"], end: int) -> Int64[np.ndarray, " n"]: ...
-
-
-def folded(position: int | Int64[np.ndarray, " n"], end: int) -> int | Int64[np.ndarray, " n"]:
-    """Where one is that goes from 0 to an end, back to 0, and so on, after so long a way."""
-    within = position % (2 * end)
-    return end - abs(within - end)
-
-
-def image_positions(number: int, step: float) -> Iterator[int]:
-    """Way along numbered images, forwards, backwards and so on (see `folded`), that skips some.
-
-    Args:
-        number: How many images there are, three at least.
-        step: From one to the next on average, 1 at least.
-
-    Yields:
-        Ways, increasing; no two neighbours are the same image.
-    """
-    before, k = -1, 0
-    while True:
-        position = max(round(k * step), before + 1)
-        if before >= 0 and folded(position, number - 1) == folded(before, number - 1):  # just about a turn
-            position = position - 1 if position - 1 > before else position + 1
-        yield position
-        before, k = position, k + 1
-
-
 class Timeline:
     """A walk that goes forwards, backwards, and so on, while time increases.
 
@@ -151,145 +104,126 @@ class Timeline:
     Attributes:
         speed: Seconds of the recording a second.
         duration_s: Of the way there and back.
+        at_s: When the images on it are taken, after how many seconds of the way, (k,).
+        numbers: Their numbers in the recording, (k,).
     """
 
     def __init__(self, times_ns: Int64[np.ndarray, " n"], rate: float) -> None:
         self._times_ns = times_ns
         self._span_ns = int(times_ns[-1] - times_ns[0])
-        recorded = (len(times_ns) - 1) * 1e9 / self._span_ns
-        self.speed = max(rate / recorded, 1.0)
+        last = len(times_ns) - 1
+        self.speed = max(rate * self._span_ns * 1e-9 / last, 1.0)
         self.duration_s = 2e-9 * self._span_ns / self.speed
-        self._step = recorded * self.speed / rate
+        there_s = (times_ns - times_ns[0]) * 1e-9 / self.speed
+        every_s = np.concatenate([there_s, self.duration_s - there_s[-2:0:-1]])
+        numbers = np.concatenate([np.arange(last + 1), np.arange(last - 1, 0, -1)])
+        # Of all images on the way there and back those nearest to evenly spaced times.
+        number = max(round(self.duration_s * rate), 2)
+        evenly_s = self.duration_s * np.arange(number) / number
+        nearest = np.unique(np.abs(every_s - evenly_s[:, None]).argmin(axis=1))
+        same = numbers[nearest] == np.roll(numbers[nearest], 1)  # just about a turn: the camera would seem frozen
+        self.at_s, self.numbers = every_s[nearest[~same]], numbers[nearest[~same]]
 
     def recorded_ns(self, elapsed_s: Float64[np.ndarray, " m"]) -> Int64[np.ndarray, " m"]:
         """What time of the recording it is after so many seconds."""
-        return self._times_ns[0] + folded(np.rint(elapsed_s * self.speed * 1e9).astype(np.int64), self._span_ns)
+        within_ns = np.rint(elapsed_s * self.speed * 1e9).astype(np.int64) % (2 * self._span_ns)
+        return self._times_ns[0] + self._span_ns - abs(within_ns - self._span_ns)
 
-    def images(self) -> Iterator[tuple[float, int]]:
-        """Images without end: after how many seconds each is taken, at exactly that point of the walk; its number."""
-        last = len(self._times_ns) - 1
-        for position in image_positions(last + 1, self._step):
-            rounds, within = divmod(position, 2 * last)
-            image = folded(position, last)
-            there_ns = int(self._times_ns[image] - self._times_ns[0])
-            way_ns = 2 * self._span_ns * rounds + (there_ns if within <= last else 2 * self._span_ns - there_ns)
-            yield way_ns * 1e-9 / self.speed, image
+
+def write_walk(
+    path: Path,
+    walk: Walk,
+    rate: float,
+    size: tuple[int, int] | None = None,
+    *,
+    odometry_hz: float = 200.0,
+    from_s: float = 0.0,
+) -> Timeline:
+    """Write a walk there and back as a recording, which may be played over and over.
+
+    Args:
+        path: File to write.
+        walk: The walk.
+        rate: Images a second.
+        size: Width and height of the images; None for that of the recording.
+        odometry_hz: Messages of odometry a second, as nearly as a whole number fits into the way there and back.
+        from_s: How far along its way it begins; odometry begins there at the identity.
+    """
+    size = size or (walk.camera.width, walk.camera.height)
+    timeline = Timeline(walk.times_ns, rate)
+    number = max(round(timeline.duration_s * odometry_hz), 1)
+    odometry_s = timeline.duration_s * np.arange(number + 1) / number
+    at_ns = timeline.recorded_ns(from_s + odometry_s)
+    poses, _ = interpolate(walk.odometry_ns, walk.odom_from_base, at_ns, max_gap_s=np.inf)
+    poses = poses[0].inverse() @ poses
+    message = np.clip(np.searchsorted(walk.odometry_ns, at_ns), 1, len(walk.odometry_ns) - 1)
+    recorded_s = (walk.odometry_ns[message] - walk.odometry_ns[message - 1]) * 1e-9
+    # An increment errs with covariance twist · dt², and a part of it with that part of the covariance.
+    finer = recorded_s * timeline.speed * number / timeline.duration_s
+    covariances = walk.twist_covariances[message] * finer[:, None, None]
+    covariances = np.where(np.isfinite(covariances), covariances, _UNMEASURED * np.eye(6))
+    images_s = (timeline.at_s - from_s) % timeline.duration_s
+    encoded = {image: _encoded(walk.images[image], size) for image in set(timeline.numbers.tolist())}
+    events = [(due_s, ODOMETRY, k) for k, due_s in enumerate(odometry_s.tolist())]
+    events += [(due_s, IMAGE, k) for due_s, k in zip(images_s.tolist(), timeline.numbers.tolist(), strict=True)]
+    with SequenceWriter(path, camera=walk.camera.scaled(*size), base_from_camera=walk.base_from_camera) as writer:
+        for due_s, topic, k in sorted(events):
+            time_ns = round(due_s * 1e9)
+            if topic == IMAGE:
+                writer.write_encoded_image(time_ns, encoded[k], "jpeg")
+            else:
+                writer.write_odometry(time_ns, poses[k], covariances[k])
+    return timeline
+
+
+def _encoded(image: UInt8[np.ndarray, "height width 3"], size: tuple[int, int]) -> bytes:
+    shrinks = size[0] < image.shape[1]
+    resized = cv2.resize(image, size, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
+    return as_jpeg(np.asarray(resized, np.uint8), _JPEG_QUALITY)
 
 
 # --- messages ---------------------------------------------------------------------------------------
 
 
-class Outgoing(NamedTuple):
-    """A message to publish.
-
-    Attributes:
-        due_s: When it is of, by seconds since the beginning.
-        topic: Where.
-        data: Its bytes, whose stamp is to be set.
-    """
-
-    due_s: float
-    topic: str
-    data: bytes
-
-
-class Traffic:
-    """All messages of a robot whose camera has some rate and size, encoded before.
+class AlteringTransport:
+    """A transport that publishes what becomes of the messages of topics with headers.
 
     Args:
-        walk: Its path.
-        rate: Images a second.
-        size: Width and height of the images; None for that of the recording.
-        odometry_hz: Messages of odometry a second; as nearly as a whole number fits into the way there and back.
-
-    Attributes:
-        types: Type of the messages by topic.
-        static: Bytes of the one message on /tf_static.
-        timeline: When the images are of.
+        transport: The transport.
+        alter: The bytes to publish in place of a topic's; None for none.
     """
 
-    def __init__(
-        self,
-        walk: Walk,
-        rate: float,
-        size: tuple[int, int] | None = None,
-        *,
-        odometry_hz: float = 200.0,
-    ) -> None:
-        size = size or (walk.camera.width, walk.camera.height)
-        self.timeline = Timeline(walk.times_ns, rate)
-        self.types = {
-            IMAGE: "sensor_msgs/CompressedImage",
-            CAMERA_INFO: "sensor_msgs/CameraInfo",
-            ODOMETRY: "nav_msgs/Odometry",
-            TF_STATIC: "tf2_msgs/TFMessage",
-        }
-        transform = ros_transform(0, BASE_FRAME, CAMERA_FRAME, ros_poses(walk.base_from_camera))
-        self.static = encoder("tf2_msgs/TFMessage")({"transforms": [transform]})
-        self._info = encoder("sensor_msgs/CameraInfo")(_info(walk.camera.scaled(*size)))
-        self._images = [encoder("sensor_msgs/CompressedImage")(_image(image, size)) for image in walk.images]
-        number = max(round(self.timeline.duration_s * odometry_hz), 1)
-        self._odometry_s = self.timeline.duration_s * np.arange(number) / number
-        self._odometry = self._encode_odometry(walk)
+    def __init__(self, transport: Transport, alter: Callable[[str, bytes], bytes | None]) -> None:
+        self._transport, self._alter = transport, alter
 
-    def messages(self) -> Iterator[Outgoing]:
-        """All but the static one, without end, in order of time."""
-        return heapq.merge(self._camera(), self._base(), key=lambda outgoing: outgoing.due_s)
+    @property
+    def name(self) -> str:
+        """The transport's name."""
+        return self._transport.name
 
-    def _camera(self) -> Iterator[Outgoing]:
-        for due_s, number in self.timeline.images():
-            yield Outgoing(due_s, CAMERA_INFO, self._info)
-            yield Outgoing(due_s, IMAGE, self._images[number])
+    def offers(self) -> list[Offer]:
+        """As the transport's."""
+        return self._transport.offers()
 
-    def _base(self) -> Iterator[Outgoing]:
-        begin_s = 0.0
-        while True:
-            for due_s, data in zip(self._odometry_s, self._odometry, strict=True):
-                yield Outgoing(begin_s + float(due_s), ODOMETRY, data)
-            begin_s += self.timeline.duration_s
+    def subscribe(self, offer: Offer, deliver: Callable[[RawMessage], None]) -> None:
+        """As the transport's."""
+        self._transport.subscribe(offer, deliver)
 
-    def _encode_odometry(self, walk: Walk) -> list[bytes]:
-        """Odometry of the path there and back; its stated noise along the same path is equal."""
-        at_ns = self.timeline.recorded_ns(self._odometry_s)
-        poses, _ = interpolate(walk.odometry_ns, walk.odom_from_base, at_ns, max_gap_s=np.inf)
-        message = np.clip(np.searchsorted(walk.odometry_ns, at_ns), 1, len(walk.odometry_ns) - 1)
-        recorded_s = (walk.odometry_ns[message] - walk.odometry_ns[message - 1]) * 1e-9
-        # An increment errs with covariance twist · dt², and a part of it with that part of the covariance.
-        interval_s = self.timeline.duration_s / len(at_ns)
-        covariances = walk.twist_covariances[message] * (recorded_s * self.timeline.speed / interval_s)[:, None, None]
-        covariances = np.where(np.isfinite(covariances), covariances, _UNMEASURED * np.eye(6))
-        return [
-            encoder("nav_msgs/Odometry")(
-                {
-                    "header": ros_header(0, ODOM_FRAME),
-                    "child_frame_id": BASE_FRAME,
-                    "pose": {"pose": pose},
-                    "twist": {"covariance": covariance},
-                }
-            )
-            for pose, covariance in zip(ros_poses(poses), covariances, strict=True)
-        ]
+    def advertise(self, topic: str, message_type: str, *, latched: bool = False) -> Publish:
+        """As the transport's, but for the messages."""
+        publish = self._transport.advertise(topic, message_type, latched=latched)
+        if topic == TF_STATIC:
+            return publish
 
+        def publish_altered(data: bytes) -> None:
+            if (altered := self._alter(topic, data)) is not None:
+                publish(altered)
 
-def _image(image: UInt8[np.ndarray, "height width 3"], size: tuple[int, int]) -> dict[str, Any]:
-    shrinks = size[0] < image.shape[1]
-    resized = cv2.resize(image, size, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
-    bgr = cv2.cvtColor(resized, cv2.COLOR_RGB2BGR)
-    data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1].tobytes()
-    return {"header": ros_header(0, CAMERA_FRAME), "format": "jpeg", "data": data}
+        return publish_altered
 
-
-def _info(c: Camera) -> dict[str, Any]:
-    return {
-        "header": ros_header(0, CAMERA_FRAME),
-        "height": c.height,
-        "width": c.width,
-        "distortion_model": "plumb_bob",
-        "d": [0.0] * 5,
-        "k": [c.fx, 0.0, c.cx, 0.0, c.fy, c.cy, 0.0, 0.0, 1.0],
-        "r": [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
-        "p": [c.fx, 0.0, c.cx, 0.0, 0.0, c.fy, c.cy, 0.0, 0.0, 0.0, 1.0, 0.0],
-    }
+    def close(self) -> None:
+        """As the transport's."""
+        self._transport.close()
 
 
 def with_stamp(data: bytes, time_ns: int) -> bytes:
@@ -301,59 +235,3 @@ def stamp_of(data: bytes) -> int:
     """Stamp of a message that begins with a header, little-endian as this package writes them, nanoseconds."""
     sec, nanosec = _STAMP.unpack_from(data, 4)
     return sec * 1_000_000_000 + nanosec
-
-
-# --- playing ----------------------------------------------------------------------------------------
-
-
-class Sent(NamedTuple):
-    """A message that was published.
-
-    Attributes:
-        topic: Where.
-        stamp_ns: Its stamp.
-        at_ns: When, just before, by the monotonic clock.
-        late_s: How late that was.
-    """
-
-    topic: str
-    stamp_ns: int
-    at_ns: int
-    late_s: float
-
-
-Altered = tuple[bytes, int] | None
-"""Bytes of a message, and by how many nanoseconds its stamp is wrong; None where it is not published."""
-
-
-def play(
-    transport: Transport,
-    traffic: Traffic,
-    *,
-    from_s: float = 0.0,
-    alter: Callable[[Outgoing], Altered] = lambda outgoing: (outgoing.data, 0),
-) -> Iterator[Sent]:
-    """Publish the messages of a robot in real time without end, stamped with the times at which they are due.
-
-    A message that is late is published at once.
-
-    Args:
-        from_s: How far along its way it begins.
-        alter: What becomes of a message when it is due.
-    """
-    publish = {name: transport.advertise(name, kind, latched=name == TF_STATIC) for name, kind in traffic.types.items()}
-    publish[TF_STATIC](traffic.static)
-    begin_s, begin_ns = time.monotonic() - from_s, time.time_ns() - round(from_s * 1e9)
-    for outgoing in traffic.messages():
-        if outgoing.due_s < from_s:
-            continue
-        due_s = begin_s + outgoing.due_s
-        while (left_s := due_s - time.monotonic()) > 0:
-            time.sleep(min(left_s, _LONGEST_SLEEP_S))
-        if (altered := alter(outgoing)) is None:
-            continue
-        stamp_ns = begin_ns + round(outgoing.due_s * 1e9) + altered[1]
-        data = with_stamp(altered[0], stamp_ns)
-        at_ns = time.monotonic_ns()
-        publish[outgoing.topic](data)
-        yield Sent(outgoing.topic, stamp_ns, at_ns, at_ns * 1e-9 - due_s)

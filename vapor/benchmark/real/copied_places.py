@@ -11,7 +11,6 @@ import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -19,26 +18,23 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, UInt8
 
-from filtering.config import LocalizerConfig
 from filtering.errors import VaporTrackError
-from filtering.motion import MotionNoise
+from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from sequences.datasets.frames import posed_frames
-from sequences.estimates.sequence import OdometryTrack
 from sequences.frame import BASE_FROM_CAMERA, Frame
-from sequences.odometry import OdometryNoise, simulate_odometry
 from sequences.writer import SequenceWriter
-from vapor.benchmark.real.row import Draw, RowContext
-from vapor.benchmark.real.trained_network import posterior_of_recorded, record_posteriors, trained_model, training_code
+from vapor.benchmark.real.row import Draw, Row, RowContext, simulated_motions
+from vapor.benchmark.real.trained_network import record_posteriors, trained_model, training_code
 from vapor.benchmark.recordings.storage import FileSettings, load_recording, seen_digest
 from vapor.cache import digest
 from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.checkpoints.file_format import load_checkpoint
-from vapor.storage import fetched, published
 from vapor.tracking.follow import Segment
 from vapor.training.config import TrainConfig
 from vapor.training.presets import PRESETS
 from vapor.training.train import train_on
+from vapor.training_data.entries import parse_entry
 
 _GAIN, _GAMMA, _NOISE, _WINDOW = (0.7, 1.1), (0.75, 1.35), 4.0, 0.95
 _SHORTEST_S = 4.0  # before the part that is there once
@@ -47,7 +43,7 @@ _LEFT_S, _LONGEST_S = 1.0, 15.0  # in which a walk goes on after that, at least 
 
 
 @dataclass(frozen=True)
-class CopiedPlaces:
+class CopiedPlaces(Row):
     """A place of others' images that stands in the map several times; the camera walks in one of the copies.
 
     Attributes:
@@ -60,7 +56,6 @@ class CopiedPlaces:
         config: How to train: as `train` does without options.
     """
 
-    name: str
     training: tuple[str, ...]
     walk: str
     unique: Callable[[Poses], Bool[np.ndarray, " n"]]
@@ -68,16 +63,6 @@ class CopiedPlaces:
     own: int
     rate_hz: float
     config: TrainConfig = PRESETS["auto"]
-
-    @property
-    def group(self) -> str:
-        """A group of its own."""
-        return self.name
-
-    @property
-    def simulated(self) -> bool:
-        """Odometry, the image a walk begins with, and which way it goes are drawn."""
-        return True
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -88,33 +73,29 @@ class CopiedPlaces:
         """Copy, train, and record the posterior of every image, once for all draws."""
         checkpoint = load_checkpoint(self._trained(context))
         settings = self._recording(context, checkpoint)
-        recorded = record_posteriors(context, settings, lambda: self._walked(context), checkpoint, seed)
+        recorded = record_posteriors(context, settings, self._walked(context), checkpoint)
         return {**recorded, "seed": seed}
 
-    def draw(self, context: RowContext, seed: int, config: LocalizerConfig) -> Draw:
+    def draw(self, context: RowContext, seed: int) -> Draw:
         """A walk that begins anywhere and goes on to the part that is there once, and beyond."""
         checkpoint = load_checkpoint(self._trained(context))
         recording = load_recording(self._recording(context, checkpoint), context.folder("recordings"))
-        of_recorded = posterior_of_recorded(recording, checkpoint)
+        errors = checkpoint.calibration.errors
         truth = recording.path.world_from_camera
         rng = np.random.default_rng([seed, 2])
         images, first = self._walk(self._unique(truth, self.own), rng)
         times_ns = np.rint(np.arange(len(images)) * 1e9 / self.rate_hz).astype(np.int64)
-        odom_from_base, covariances = simulate_odometry(
-            times_ns, truth[images] @ BASE_FROM_CAMERA.inverse(), OdometryNoise(), rng=rng
-        )
-        track = OdometryTrack(times_ns, odom_from_base, covariances)
-        motions = [track.between(before, now, MotionNoise()) for before, now in pairwise(times_ns.tolist())]
-        fit = checkpoint.calibration.odometry
+        motions = simulated_motions(times_ns, truth[images], rng=rng)
         since = times_ns - times_ns[first]
         after = since >= round(_AFTER_S * 1e9)
-        return Draw(
-            Segment(times_ns, (None, *motions), truth[images], lambda i: of_recorded(int(images[i]))).restated(fit),
-            checkpoint.calibration.errors,
-            config if fit is None else replace(config, odometry_bias=fit.odometry_bias),
-            {"before": since < 0, f"{_AFTER_S:g} s after": after & (np.cumsum(after) == 1), "after": after},
-            in_sequences=False,
-        )
+
+        def posterior(image: int) -> PosePosterior:
+            return recording.observed(int(images[image])).posterior(checkpoint, errors)
+
+        evaluated = {"before": since < 0, f"{_AFTER_S:g} s after": after & (np.cumsum(after) == 1), "after": after}
+        segment = Segment(times_ns, (None, *motions[1:]), truth[images], posterior)
+        draw = Draw(segment, errors, context.config.localizer, evaluated, in_sequences=False)
+        return draw.with_model(checkpoint)
 
     def _walk(self, unique: Bool[np.ndarray, " n"], rng: np.random.Generator) -> tuple[np.ndarray, int]:
         """The images of a walk, and which of them is the first of the part that is there once."""
@@ -142,9 +123,8 @@ class CopiedPlaces:
         """The training images of each copy, by names for them."""
         copies: dict[str, list[Frame]] = {}
         for entry in self.training:
-            path, _, span = entry.partition("@")
-            frames = slice(*(int(end) if end else None for end in span.split(":"))) if span else slice(None)
-            read = list(posed_frames(data / path, frames=frames))
+            path, frames = parse_entry(data / entry)
+            read = list(posed_frames(path, frames=frames))
             for copy in range(len(self.offsets_m)):
                 copies[f"{entry}, copy {copy}"] = list(self._copied(read, copy, only_common=copy != self.own))
         return {name: frames for name, frames in copies.items() if frames}
@@ -188,14 +168,13 @@ class CopiedPlaces:
             context,
             self.name,
             self._settings,
-            lambda file, report: train_on(self._copies(context.data), file, self.config, progress=report),
+            lambda file: train_on(self._copies(context.data), file, self.config),
         )
 
     def _walked(self, context: RowContext) -> Path:
         """The images of the walk as the copy gives them that the camera walks in, at another time than in training."""
         file = context.folder("sequences") / f"{self.name}-{digest(self._settings)}.mcap"
-        if not fetched(file).is_file():
-            context.advance("copying", 0, None)
+        if not file.is_file():
             read = list(posed_frames(context.data / self.walk))
             seen = list(self._copied(read, len(self.offsets_m), only_common=False))
             offset = np.array(self.offsets_m[self.own]) - np.array(self.offsets_m[-1])
@@ -211,12 +190,11 @@ class CopiedPlaces:
                     writer.write_odometry(time_ns, pose @ base_from_camera.inverse(), known)
                     writer.write_true_pose(time_ns, pose)
                     writer.write_image(time_ns, frame.image)
-            published(file)
         return file
 
     def _recording(self, context: RowContext, checkpoint: Checkpoint) -> FileSettings:
-        made, precision = digest(self._settings), context.network.precision
-        return FileSettings(self.name, made, seen_digest(checkpoint), 0, context.num_samples, precision=precision)
+        seen, c = seen_digest(checkpoint), context.config
+        return FileSettings(self.name, digest(self._settings), seen, 0, c.num_samples, precision=c.precision)
 
 
 def _in_other_light(

@@ -8,6 +8,7 @@ import numpy as np
 
 from vapor.benchmark.real.copied_places import CopiedPlaces
 from vapor.benchmark.real.published import PoseEstimates, StoredPosteriors
+from vapor.benchmark.real.row import Row
 from vapor.benchmark.real.trained_network import TrainedNetwork
 
 
@@ -70,14 +71,6 @@ def _copied_desk() -> CopiedPlaces:
     )
 
 
-Row = TrainedNetwork | CopiedPlaces | StoredPosteriors | PoseEstimates
-"""A recording that methods are evaluated on.
-
-Rows of a `group` differ in one thing only. `simulated` is True where odometry is drawn. `needs` are files and folders
-of the data. `prepare` makes the input of a draw unless it is there, and returns all that the result depends on besides
-code, as JSON.
-"""
-
 SCALE = 30.0
 """How much larger the scaled rows are: a car park instead of a room."""
 
@@ -96,7 +89,7 @@ def _stairs(scale: float = 1.0) -> Sequence[PoseEstimates]:
     return [PoseEstimates(f"{group}_{name}", group, files, truth, scale) for name, files in inputs.items()]
 
 
-# To add a row: one of these kinds, or a class of your own in `Row`.
+# To add a row: one of these kinds, or a subclass of `Row` of your own.
 ROWS: tuple[Row, ...] = (
     _tum_fr1(),
     _tum_fr1_one_walk(),

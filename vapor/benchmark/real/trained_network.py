@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -12,28 +12,23 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool
 
-from filtering.config import LocalizerConfig
 from filtering.posterior import PosePosterior
 from sequences.datasets.convert import convert
 from sequences.odometry import OdometryNoise
-from vapor.benchmark.real.row import Draw, RowContext
+from vapor.benchmark.real.row import Draw, Row, RowContext
 from vapor.benchmark.recordings.record import record_file
-from vapor.benchmark.recordings.storage import FileSettings, Recording, load_recording, not_recorded, seen_digest
+from vapor.benchmark.recordings.storage import FileSettings, load_recording, seen_digest
 from vapor.cache import code_digest, digest
 from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.checkpoints.file_format import load_checkpoint
-from vapor.landmarks.verify import verified
-from vapor.storage import fetched, published, withdrawn
-from vapor.tracking.follow import Segment, posterior_of
+from vapor.tracking.follow import Segment
 from vapor.training.config import TrainConfig
 from vapor.training.presets import PRESETS
-from vapor.training.progress import ProgressCallback
-from vapor.training.state import state_path
 from vapor.training.train import train
 
 
 @dataclass(frozen=True)
-class TrainedNetwork:
+class TrainedNetwork(Row):
     """A model trained on some images of a place with the settings of `train`, localizing in the rest.
 
     Attributes:
@@ -45,7 +40,6 @@ class TrainedNetwork:
         config: How to train: as `train` does without options.
     """
 
-    name: str
     training: tuple[str, ...]
     dataset: str
     frames: tuple[int, int | None] = (0, None)
@@ -54,11 +48,6 @@ class TrainedNetwork:
         default_factory=lambda: {"": lambda n: np.ones(n, bool)}
     )
     config: TrainConfig = PRESETS["auto"]
-
-    @property
-    def group(self) -> str:
-        """A group of its own."""
-        return self.name
 
     @property
     def simulated(self) -> bool:
@@ -74,8 +63,7 @@ class TrainedNetwork:
     def prepare(self, context: RowContext, seed: int) -> dict[str, Any]:
         """Convert, train, and record the posterior of every image."""
         file, _ = self._sequence(context, seed)
-        if not fetched(file).is_file():
-            context.advance("converting", seed, None)
+        if not file.is_file():
             recorded = None if self.odometry is None else context.data / self.odometry
             noise = OdometryNoise() if recorded is None else None
             convert(
@@ -86,23 +74,21 @@ class TrainedNetwork:
                 frames=slice(*self.frames),
                 seed=seed,
             )
-            published(file)
         checkpoint = load_checkpoint(self._trained(context))
-        return record_posteriors(context, self._recording(context, seed, checkpoint), lambda: file, checkpoint, seed)
+        return record_posteriors(context, self._recording(context, seed, checkpoint), file, checkpoint)
 
-    def draw(self, context: RowContext, seed: int, config: LocalizerConfig) -> Draw:
+    def draw(self, context: RowContext, seed: int) -> Draw:
         """The posteriors of the network, and the odometry of the converted file."""
         checkpoint = load_checkpoint(self._trained(context))
         recording = load_recording(self._recording(context, seed, checkpoint), context.folder("recordings"))
-        errors, fit = checkpoint.calibration.errors, checkpoint.calibration.odometry
-        posterior, n = posterior_of_recorded(recording, checkpoint), len(recording.times_ns)
-        truth, odometry = recording.path.world_from_camera, tuple(recording.motion(i) for i in range(n))
-        return Draw(
-            Segment(recording.times_ns, odometry, truth, posterior).restated(fit),
-            errors,
-            config if fit is None else replace(config, odometry_bias=fit.odometry_bias),
-            {what: of(n) for what, of in self.evaluated.items()},
-        )
+        errors, truth = checkpoint.calibration.errors, recording.path.world_from_camera
+
+        def posterior(image: int) -> PosePosterior:
+            return recording.observed(image).posterior(checkpoint, errors)
+
+        segment = Segment(recording.times_ns, recording.motions, truth, posterior)
+        evaluated = {what: of(len(truth)) for what, of in self.evaluated.items()}
+        return Draw(segment, errors, context.config.localizer, evaluated).with_model(checkpoint)
 
     @cached_property
     def _training_settings(self) -> dict[str, Any]:
@@ -115,7 +101,7 @@ class TrainedNetwork:
             context,
             self.name,
             self._training_settings,
-            lambda file, report: train(data, file, self.config, progress=report),
+            lambda file: train(data, file, self.config),
         )
 
     def _sequence(self, context: RowContext, seed: int) -> tuple[Path, str]:
@@ -126,13 +112,11 @@ class TrainedNetwork:
 
     def _recording(self, context: RowContext, seed: int, checkpoint: Checkpoint) -> FileSettings:
         file, made = self._sequence(context, seed)
-        digests, precision = (made, seen_digest(checkpoint)), context.network.precision
-        return FileSettings(file.stem, *digests, seed, context.num_samples, precision=precision)
+        seen, c = seen_digest(checkpoint), context.config
+        return FileSettings(file.stem, made, seen, seed, c.num_samples, precision=c.precision)
 
 
-def trained_model(
-    context: RowContext, name: str, settings: Mapping[str, Any], fit: Callable[[Path, ProgressCallback], object]
-) -> Path:
+def trained_model(context: RowContext, name: str, settings: Mapping[str, Any], fit: Callable[[Path], object]) -> Path:
     """A model file, trained if it is not there; an interrupted training run continues.
 
     Args:
@@ -142,36 +126,17 @@ def trained_model(
         fit: Trains, and writes the file.
     """
     file = context.folder("models") / f"{name}-{digest(settings)}.safetensors"
-    if not fetched(file).is_file():
-        fetched(state_path(file))
-        fit(file, lambda progress: context.advance(progress.stage, progress.done, progress.total))
-        published(file)
-        withdrawn(state_path(file))
+    if not file.is_file():
+        fit(file)
     return file
 
 
 def record_posteriors(
-    context: RowContext, settings: FileSettings, file: Callable[[], Path], checkpoint: Checkpoint, seed: int
+    context: RowContext, settings: FileSettings, file: Path, checkpoint: Checkpoint
 ) -> dict[str, Any]:
     """Record the posteriors of a file unless that is done; returns their settings, as JSON."""
-    recordings = context.folder("recordings")
-    if not_recorded([settings], recordings):
-        context.advance("computing posteriors", seed, None)
-        record_file(settings, file(), checkpoint, recordings, engine=context.network.engine)
+    record_file(settings, file, checkpoint, context.folder("recordings"), engine=context.config.engine)
     return {"recording": settings.stored, "calibration": asdict(checkpoint.calibration)}
-
-
-def posterior_of_recorded(recording: Recording, checkpoint: Checkpoint) -> Callable[[int], PosePosterior]:
-    """The posterior of an image of a recording, by its number."""
-    errors, landmarks = checkpoint.calibration.errors, checkpoint.landmarks
-
-    def posterior(image: int) -> PosePosterior:
-        coarse = posterior_of(recording.posterior_poses(image), errors, float(recording.ood_score[image]))
-        if landmarks is None:
-            return coarse
-        return verified(coarse, recording.verified[image], landmarks.verification, landmarks.mapped)
-
-    return posterior
 
 
 def training_code(*more: str) -> str:

@@ -30,15 +30,13 @@ from vapor.benchmark.recordings.storage import (
     CameraPath,
     FileSettings,
     RecordingSettings,
-    load_path,
+    Settings,
     to_rows,
     verified_arrays,
-    write_samples_header,
 )
 from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.engines.engine import EngineName
 from vapor.observation import VaporObservationModel
-from vapor.storage import published
 from vapor.threads import limited_threads
 
 _NO_MOTION = Odometry(Poses.identity(), np.zeros((6, 6)), 0.0)
@@ -80,24 +78,18 @@ def record_synthetic(
 ) -> None:
     """Render a sequence to a file in a folder, and record that; the file is removed."""
     sequence = _sequence(settings)
-    seen = sees_cue(sequence.scene, sequence.camera, sequence.world_from_camera)
     file = folder / "sequence.mcap"
     write_synthetic(sequence, file)
-    found = _observe(file, settings, checkpoint, folder, engine, seen=seen)
-    if found != len(seen):
-        raise VaporTrackError(f"{file}: {found} images read, expected the {len(seen)} that were written")
+    _observe(file, settings, checkpoint, folder, engine, seen=_path(sequence).sees_cue)
     file.unlink()
 
 
-def camera_path(settings: RecordingSettings, directory: Path) -> CameraPath:
-    """Where the camera of a recording goes: as recorded, or as it will be if there is no recording yet.
+def camera_path(settings: RecordingSettings) -> CameraPath:
+    """Where the camera of a recording goes. Raises VaporTrackError where there is no such sequence."""
+    return _path(_sequence(settings))
 
-    Raises:
-        VaporTrackError: there is no such sequence, or it was made with other settings.
-    """
-    if (directory / settings.name).is_dir():
-        return load_path(settings, directory)
-    sequence = _sequence(settings)
+
+def _path(sequence: SyntheticSequence) -> CameraPath:
     seen = sees_cue(sequence.scene, sequence.camera, sequence.world_from_camera)
     return CameraPath(sequence.world_from_camera, seen)
 
@@ -127,27 +119,20 @@ def _sequence(settings: RecordingSettings) -> SyntheticSequence:
     )
 
 
-def _store(settings: RecordingSettings | FileSettings, directory: Path, record: Callable[[Path], object]) -> None:
+def _store(settings: Settings, directory: Path, record: Callable[[Path], object]) -> None:
     """Let a recording be made in a hidden folder, then give that folder its name; nothing to do if it exists."""
     folder = directory / settings.name
     if folder.is_dir():
-        published(folder, last=SETTINGS)
         return
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-        with workspace(directory, settings.name) as work:
-            partial = work / settings.name
-            partial.mkdir()
-            with limited_threads(1):
-                record(partial)
-            (partial / SETTINGS).write_text(json.dumps(settings.stored, indent=2) + "\n", encoding="utf-8")
-            if not folder.is_dir():  # another process may have been faster
-                partial.rename(folder)
-        published(folder, last=SETTINGS)
-    except OSError as error:
-        raise VaporTrackError(
-            f"{folder}: cannot write: {error.strerror or error}, expected a directory that can be written to"
-        ) from error
+    directory.mkdir(parents=True, exist_ok=True)
+    with workspace(directory, settings.name) as work:
+        partial = work / settings.name
+        partial.mkdir()
+        with limited_threads(1):
+            record(partial)
+        (partial / SETTINGS).write_text(json.dumps(settings.stored, indent=2) + "\n", encoding="utf-8")
+        if not folder.is_dir():  # another process may have been faster
+            partial.rename(folder)
 
 
 def _observe(
@@ -159,8 +144,8 @@ def _observe(
     *,
     seen: Bool[np.ndarray, " n"] | None = None,
     reading: SequenceOptions | None = None,
-) -> int:
-    """Write the posteriors of a file's images with true poses and odometry; returns the number of images."""
+) -> None:
+    """Write the posteriors of a file's images with true poses and odometry."""
     most = settings.images if isinstance(settings, FileSettings) else None
     rng = np.random.default_rng([settings.seed, settings.num_samples])
     noise = np.random.default_rng([settings.seed, settings.num_samples, 1])
@@ -175,9 +160,7 @@ def _observe(
     )
     times_ns, odometry, covariance, truth, ood_score, verified = [], [], [], [], [], []
     ended: Frame | None = None
-    shape = (settings.num_samples, 12)
     with (folder / SAMPLES).open("wb") as samples:
-        write_samples_header(samples, (reader.num_images, *shape))
         for frame in reader:
             if frame.world_from_camera is None:
                 ended = ended or (frame if truth else None)
@@ -204,8 +187,6 @@ def _observe(
                 break
         if not truth:
             raise VaporTrackError(f"{file}: no image has a true pose, expected all to have one")
-        samples.seek(0)
-        write_samples_header(samples, (len(truth), *shape))
     of_landmarks: dict[str, Any] = verified_arrays(verified)
     np.savez(
         folder / PATH,
@@ -217,4 +198,3 @@ def _observe(
         ood_score=np.array(ood_score),
         **of_landmarks,
     )
-    return len(truth)

@@ -4,26 +4,29 @@ from __future__ import annotations
 
 import importlib.metadata
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, BinaryIO, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
 
-from filtering.errors import VaporTrackError, quoted
+from filtering.errors import VaporTrackError
+from filtering.measurement_noise import MeasurementNoise
 from filtering.motion import Odometry
+from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
-from sequences.files import read_arrays, read_json
+from sequences.files import read_arrays
 from sequences.paths import Cues
 from sequences.synthesize import SYNTHESIS
 from vapor.cache import code_digest, digest
 from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.engines.engine import Precision
 from vapor.landmarks.localize import VerifiedPose
-from vapor.storage import absent, fetched
+from vapor.landmarks.verify import verified
+from vapor.tracking.follow import posterior_of
 
 
 def seen_digest(checkpoint: Checkpoint) -> str:
@@ -36,7 +39,27 @@ def seen_digest(checkpoint: Checkpoint) -> str:
 
 
 @dataclass(frozen=True)
-class RecordingSettings:
+class Settings:
+    """Everything that a recording depends on."""
+
+    @property
+    def label(self) -> str:
+        """Begin of the name."""
+        raise NotImplementedError
+
+    @property
+    def name(self) -> str:
+        """Name of its folder: recordings with other settings have other names."""
+        return f"{self.label}-{digest(self.stored)}"
+
+    @property
+    def stored(self) -> dict[str, Any]:
+        """All settings by name, as JSON."""
+        return json.loads(json.dumps(asdict(self)))
+
+
+@dataclass(frozen=True)
+class RecordingSettings(Settings):
     """Everything that the recording of a synthetic sequence depends on.
 
     Attributes:
@@ -72,18 +95,13 @@ class RecordingSettings:
     package: str = field(default_factory=lambda: importlib.metadata.version("vapor-track"))
 
     @property
-    def name(self) -> str:
-        """Name of its folder: recordings with other settings have other names."""
-        return f"{self.scene}-{self.cues}-{self.seed}-{digest(self.stored)}"
-
-    @property
-    def stored(self) -> dict[str, Any]:
-        """All settings by name, as JSON."""
-        return json.loads(json.dumps(asdict(self)))
+    def label(self) -> str:
+        """Scene, cues and seed."""
+        return f"{self.scene}-{self.cues}-{self.seed}"
 
 
 @dataclass(frozen=True)
-class FileSettings:
+class FileSettings(Settings):
     """Everything that the recording of an MCAP file depends on.
 
     Attributes:
@@ -104,20 +122,13 @@ class FileSettings:
     precision: Precision = "float32"
 
     @property
-    def name(self) -> str:
-        """Name of its folder: recordings with other settings have other names."""
-        return f"{self.sequence}-{digest(self.stored)}"
-
-    @property
-    def stored(self) -> dict[str, Any]:
-        """All settings by name, as JSON."""
-        return asdict(self)
+    def label(self) -> str:
+        """The sequence."""
+        return self.sequence
 
 
-Settings = TypeVar("Settings", RecordingSettings, FileSettings, RecordingSettings | FileSettings)
-
-SETTINGS, PATH, SAMPLES = "settings.json", "path.npz", "samples.npy"
-"""The files of a recording."""
+SETTINGS, PATH, SAMPLES = "settings.json", "path.npz", "samples.f32"
+"""The files of a recording: settings for people, arrays, and the float32 of all samples one after the other."""
 
 
 @dataclass(frozen=True)
@@ -131,6 +142,28 @@ class CameraPath:
 
     world_from_camera: Poses
     sees_cue: Bool[np.ndarray, " n"]
+
+
+class Observed(NamedTuple):
+    """The answers of network and landmarks to an image.
+
+    Attributes:
+        samples: Posterior samples (m,), world_from_camera; none of an uninformative image.
+        ood_score: See `PosePosterior`.
+        verified: The poses that landmarks verify.
+    """
+
+    samples: Poses
+    ood_score: float
+    verified: Sequence[VerifiedPose] = ()
+
+    def posterior(self, checkpoint: Checkpoint, errors: MeasurementNoise) -> PosePosterior:
+        """The posterior of the image, by the model and its measurement noise."""
+        coarse = posterior_of(self.samples, errors, self.ood_score)
+        landmarks = checkpoint.landmarks
+        if landmarks is None:
+            return coarse
+        return verified(coarse, self.verified, landmarks.verification, landmarks.mapped)
 
 
 @dataclass(frozen=True)
@@ -155,9 +188,15 @@ class Recording:
     ood_score: Float64[np.ndarray, " n"]
     verified: tuple[tuple[VerifiedPose, ...], ...]
 
-    def posterior_poses(self, image: int) -> Poses:
-        """Posterior samples (m,) of an image, the same bits that the network gave."""
-        return from_rows(np.asarray(self.samples[image], np.float64))
+    def observed(self, image: int) -> Observed:
+        """The answers to an image, the same bits that the network gave."""
+        samples = from_rows(np.asarray(self.samples[image], np.float64))
+        return Observed(samples, float(self.ood_score[image]), self.verified[image])
+
+    @property
+    def motions(self) -> tuple[Odometry, ...]:
+        """Camera motion from the image before to each one, (n,)."""
+        return tuple(map(self.motion, range(len(self.times_ns))))
 
     def motion(self, image: int) -> Odometry:
         """Camera motion from the previous image to this one; for the first image, none in no time."""
@@ -165,51 +204,27 @@ class Recording:
         return Odometry(self.odometry[image], self.odometry_covariance[image], duration_s)
 
 
-def not_recorded(wanted: Iterable[Settings], directory: Path) -> list[Settings]:
-    """Those of some recordings that a directory has not."""
-    files = {settings: directory / settings.name / SETTINGS for settings in wanted}
-    lacking = absent(files.values(), directory)
-    return [settings for settings, file in files.items() if file in lacking]
-
-
-def load_recording(settings: RecordingSettings | FileSettings, directory: Path) -> Recording:
+def load_recording(settings: Settings, directory: Path) -> Recording:
     """A recording made before.
 
     Raises:
-        VaporTrackError: there is none, or it was made with other settings.
+        VaporTrackError: there is none, or it is damaged.
     """
-    folder = fetched(directory / settings.name)
-    stored = _checked(settings, folder)
+    folder = directory / settings.name
+    try:
+        stored = read_arrays(folder / PATH)
+        samples = np.memmap(folder / SAMPLES, np.float32, "r").reshape(len(stored["times_ns"]), -1, 12)
+    except (SequenceError, OSError, ValueError) as error:
+        raise VaporTrackError(f"{folder}: {error}, expected a recording; remove it to make it again") from error
     return Recording(
         stored["times_ns"],
         CameraPath(from_rows(stored["truth"]), stored["sees_cue"]),
         from_rows(stored["odometry"]),
         stored["odometry_covariance"],
-        np.load(folder / SAMPLES, mmap_mode="r", allow_pickle=False),
+        samples,
         stored["ood_score"],
         _verified(stored),
     )
-
-
-def load_path(settings: RecordingSettings | FileSettings, directory: Path) -> CameraPath:
-    """Where the camera of a recording went.
-
-    Raises:
-        VaporTrackError: there is no such recording, or it was made with other settings.
-    """
-    stored = _checked(settings, directory / settings.name)
-    return CameraPath(from_rows(stored["truth"]), stored["sees_cue"])
-
-
-def write_samples_header(file: BinaryIO, shape: tuple[int, ...]) -> None:
-    """Begin an .npy file of float32, whose numbers are then written one after the other.
-
-    It has the same length for any number of images, so it can be overwritten once that number is known.
-
-    A file mapped into memory would have holes: where the disk is full, filling one kills the process.
-    """
-    description = np.lib.format.dtype_to_descr(np.dtype(np.float32))
-    np.lib.format.write_array_header_1_0(file, {"descr": description, "fortran_order": False, "shape": shape})
 
 
 def to_rows(poses: Poses) -> Float64[np.ndarray, "n 12"]:
@@ -241,25 +256,3 @@ def _verified(stored: Mapping[str, np.ndarray]) -> tuple[tuple[VerifiedPose, ...
         covariance, inliers = stored["verified_covariance"][i], int(stored["verified_inliers"][i])
         found[image].append(VerifiedPose(poses[i], covariance, inliers, none, none))
     return tuple(map(tuple, found))
-
-
-def _checked(settings: RecordingSettings | FileSettings, folder: Path) -> Mapping[str, np.ndarray]:
-    """The arrays of a recording beside its samples, after checking that its settings are these."""
-    try:
-        found, content = read_json(folder / SETTINGS), read_arrays(folder / PATH)
-    except SequenceError as error:
-        raise VaporTrackError(
-            f"{folder}: cannot be read ({error}), expected a recording; remove it to make it again"
-        ) from error
-    expected = settings.stored
-    if not isinstance(found, dict):
-        raise VaporTrackError(
-            f"{folder / SETTINGS}: {quoted(found)}, expected a JSON object; remove it to make it again"
-        )
-    for name in expected | found:
-        if found.get(name) != expected.get(name):
-            raise VaporTrackError(
-                f"{folder}: recorded with {name} {quoted(found.get(name))}, expected {quoted(expected.get(name))};"
-                " remove it to make it again"
-            )
-    return content

@@ -10,22 +10,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Int64
 
 from filtering.motion import Odometry
-from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from filtering.storeys import Storeys
 from sequences.scenes import find_scene
-from vapor.benchmark.evaluation import compare, evaluate_sequences
-from vapor.benchmark.recordings.storage import Recording, load_recording
+from vapor.benchmark.evaluation import all_poses, evaluate_methods, evaluate_sequences
+from vapor.benchmark.recordings.storage import Observed, Recording, load_recording
 from vapor.benchmark.trials.choose import KINDS, Excerpt, Trial
-from vapor.benchmark.trials.setup import Setup, setup_settings
+from vapor.benchmark.trials.setup import Setup
 from vapor.cache import cached
-from vapor.landmarks.localize import VerifiedPose
-from vapor.landmarks.verify import verified
 from vapor.tracking.ablations import ABLATIONS
-from vapor.tracking.follow import Followed, Segment, follow, posterior_of
+from vapor.tracking.follow import Followed, Segment, follow
 
 
 @dataclass(frozen=True)
@@ -36,19 +33,21 @@ class Replay:
         times_ns: Stamps (n,), without a break.
         odometry: Camera motion since the previous image, (n,).
         truth: True poses, batch (n,).
-        posterior_poses: Posterior samples of an image, by its number; none for an uninformative one.
-        ood_score: Of each image, (n,).
+        observed: Answers of network and landmarks to an image, by its number.
         cue_images: Number of images that show something unique.
-        verified_poses: The poses that landmarks verify, of an image, by its number.
     """
 
     times_ns: Int64[np.ndarray, " n"]
     odometry: tuple[Odometry, ...]
     truth: Poses
-    posterior_poses: Callable[[int], Poses]
-    ood_score: Float64[np.ndarray, " n"]
-    cue_images: int
-    verified_poses: Callable[[int], Sequence[VerifiedPose]] = lambda image: ()
+    observed: Callable[[int], Observed]
+    cue_images: int = 0
+
+    @staticmethod
+    def of(recording: Recording) -> Replay:
+        """All of a recording."""
+        seen = int(recording.path.sees_cue.sum())
+        return Replay(recording.times_ns, recording.motions, recording.path.world_from_camera, recording.observed, seen)
 
 
 def assemble(trial: Trial, recording: Callable[[Excerpt], Recording]) -> Replay:
@@ -64,20 +63,22 @@ def assemble(trial: Trial, recording: Callable[[Excerpt], Recording]) -> Replay:
         carried = position > 0 and since_start == 0
         odometry.append(first.motion(begin + position) if carried else source.motion(image))
     step_ns = int(first.times_ns[1] - first.times_ns[0]) if len(first.times_ns) > 1 else 0
-    seen = range(0, len(images), trial.stride)
-    parts = [[odometry[k] for k in range(max(position - trial.stride, 0) + 1, position + 1)] for position in seen]
+    seen = np.arange(0, len(images), trial.stride)
+    parts = [odometry[max(end - trial.stride, 0) + 1 : end + 1] for end in seen.tolist()]
     parts[0] = [odometry[0]]
-    truth = Poses.concatenate([s.path.world_from_camera[p.start : p.start + p.length] for s, p in sources])
-    ood_score = np.concatenate([s.ood_score[p.start : p.start + p.length] for s, p in sources])
-    sees_cue = np.concatenate([s.path.sees_cue[p.start : p.start + p.length] for s, p in sources])
+    paths = [(source.path, slice(each.start, each.start + each.length)) for source, each in sources]
+    sees_cue = np.concatenate([path.sees_cue[part] for path, part in paths])
+
+    def observed(position: int) -> Observed:
+        source, image, _ = images[seen[position]]
+        return source.observed(image)
+
     return Replay(
-        first.times_ns[begin] + step_ns * np.array(seen, dtype=np.int64),
+        first.times_ns[begin] + step_ns * seen,
         tuple(reduce(Odometry.then, part) for part in parts),
-        truth[np.array(seen)],
-        lambda position: images[seen[position]][0].posterior_poses(images[seen[position]][1]),
-        ood_score[np.array(seen)],
-        int(sees_cue[np.array(seen)].sum()),
-        lambda position: images[seen[position]][0].verified[images[seen[position]][1]],
+        Poses.concatenate([path.world_from_camera[part] for path, part in paths])[seen],
+        observed,
+        int(sees_cue[seen].sum()),
     )
 
 
@@ -105,18 +106,15 @@ def follow_replay(replay: Replay, setup: Setup, *, seed: Sequence[int], kidnap_i
     calibration = checkpoint.calibration
     ablation = ABLATIONS[setup.ablation]
     errors, fit = ablation.errors(calibration.errors), calibration.odometry
-    config = ablation.localizer(setup.localizer)
+    config = ablation.localizer(setup.config.localizer)
     if fit is not None:
         config = replace(config, odometry_bias=fit.odometry_bias)
-
-    def posterior(image: int) -> PosePosterior:
-        coarse = posterior_of(replay.posterior_poses(image), errors, float(replay.ood_score[image]))
-        landmarks = checkpoint.landmarks
-        if landmarks is None:
-            return coarse
-        return verified(coarse, replay.verified_poses(image), landmarks.verification, landmarks.mapped)
-
-    segment = Segment(replay.times_ns, replay.odometry, replay.truth, posterior).restated(fit)
+    segment = Segment(
+        replay.times_ns,
+        replay.odometry,
+        replay.truth,
+        lambda image: replay.observed(image).posterior(checkpoint, errors),
+    ).restated(fit)
     return follow(
         segment, errors, config, rng=np.random.default_rng(seed), ablation=ablation, kidnap_index=kidnap_index
     )
@@ -125,7 +123,7 @@ def follow_replay(replay: Replay, setup: Setup, *, seed: Sequence[int], kidnap_i
 def trial_settings(trial: Trial, setup: Setup) -> dict[str, Any]:
     """Everything that a trial's result depends on, as JSON."""
     recordings = [setup.recording(trial.scene, trial.kind, segment).name for segment in trial.segments]
-    return json.loads(json.dumps(asdict(trial) | setup_settings(setup) | {"recordings": recordings}))
+    return json.loads(json.dumps(asdict(trial) | setup.settings() | {"recordings": recordings}))
 
 
 def run_trial(trial: Trial, setup: Setup, directory: Path) -> dict[str, Any]:
@@ -133,7 +131,7 @@ def run_trial(trial: Trial, setup: Setup, directory: Path) -> dict[str, Any]:
 
     Returns:
         JSON: `name`, `scene`, `kind`, `walk` (the seed of the first segment), `variant` (the ablation), `cue_images`,
-        what `Comparison.figures` gives, and `sequences`, see `evaluate_sequences`, where the kind has them.
+        what `evaluate_methods` gives, and `sequences`, see `evaluate_sequences`, where the kind has them.
 
     Raises:
         VaporTrackError: a recording is missing or was made with other settings.
@@ -160,7 +158,9 @@ def localize(trial: Trial, setup: Setup, replay: Replay) -> dict[str, Any]:
         "walk": first.seed,
         "variant": setup.ablation,
         "cue_images": replay.cue_images,
-        **compare(followed).figures(
+        **evaluate_methods(
+            followed,
+            all_poses(followed),
             storey_height_m=find_scene(trial.scene).storey_height_m,
             storeys=Storeys.found_in(setup.checkpoint().prior_poses),
         ),

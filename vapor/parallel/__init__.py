@@ -1,1 +1,0 @@
-"""Many jobs at a time: in processes of this machine, or on the workers of a cluster."""
