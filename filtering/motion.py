@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float64
@@ -142,6 +142,7 @@ def accumulated(
     return (covariance + np.swapaxes(covariance, -1, -2)) / 2
 
 
+@runtime_checkable
 class WhiteNoise(Protocol):
     """A model of the white noise of odometry: `MotionNoise`, or a fitted one."""
 

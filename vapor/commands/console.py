@@ -59,7 +59,7 @@ def command_line(command: str, arguments: Sequence[str], program: str = "vapor-t
 def parse(command: str, options: type[Options], arguments: Sequence[str], program: str = "vapor-track") -> Options:
     """Options from the words of the command line; wrong ones print a line and exit with status 2."""
     for word in arguments:
-        if re.match(r"[a-z][a-z0-9+.-]*://", word):
+        if re.match(r"(s3|gs|gcs|abfss?|az|hdfs|https?|s?ftp|file|memory)://", word):
             usage_error(command, f"{word}: expected a path; copy or mount it first", program)
     errors, helped, columns = io.StringIO(), _Help(), os.environ.get("COLUMNS")
     try:
