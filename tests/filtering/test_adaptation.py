@@ -105,25 +105,10 @@ def test_images_less_than_two_lengths_apart_are_not_compared():
     assert far.factor > near.factor == 1.0
 
 
-def test_the_first_image_after_the_way_is_compared_and_the_next_ones_with_it():
-    scale = compared(5.0)
-    again = observed(scale, seen_at(THERE), 0.0)  # at once, so no comparison
-    assert again == scale
-    assert scale.place.translation[0] == pytest.approx(1.0)
-    assert scale.normalized_distance == 0.0
-    assert scale.since is None
-
-
 @pytest.mark.parametrize("off", [12.0, 100.0, 1e6])
 def test_outliers_and_other_places_do_not_change_it(off):
     start = compared(5.0)
     assert compared(off, start=replace(start, place=None)).factor == start.factor
-
-
-def test_an_image_where_odometry_expects_it_lowers_it():
-    start = compared(5.0)
-    assert compared(0.0, start=replace(start, place=None)).factor < start.factor
-    assert compared(0.0).factor < 1.0
 
 
 def test_an_image_of_another_place_is_where_the_next_comparison_begins():
@@ -188,14 +173,6 @@ def test_odometry_that_knows_little_of_the_way_raises_nothing():
     assert observed(scale, seen_at(THERE @ Poses.exp(np.array([0.9, 0, 0, 0, 0, 0])))).factor == pytest.approx(
         1.0, abs=0.01
     )
-
-
-def test_a_motion_in_parts_is_compared_as_the_whole_is():
-    half = motion(0.25, 0, 0, 0, 0, 0, std=np.zeros(6))
-    whole = motion(0.5, 0, 0, 0, 0, 0, std=np.zeros(6))
-    start, end = observed(ErrorScale(), seen_at(THERE)), seen_at(THERE)
-    in_parts = observed(start.predict(half, 0.5 * APART).predict(half, 0.5 * APART), end)
-    assert in_parts.factor == pytest.approx(observed(start.predict(whole, APART), end).factor)
 
 
 def familiar_to(power_of_growth, *, errors=ERRORS):
@@ -268,7 +245,6 @@ def test_an_inflated_posterior_has_the_same_places_of_larger_errors():
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 
-UP = np.array([0.0, 0.0, 9.0])
 
 NEVER_CARRIED_OFF = LocalizerConfig(birth_rate=0.0, max_birth_rate=0.0, odometry_bias=BIAS)
 
@@ -320,17 +296,6 @@ def test_regions_shrink_with_errors_that_are_smaller_and_still_hold_the_truth(lo
     assert held > 0.8
 
 
-@pytest.mark.parametrize("localize", [filtered, followed])
-def test_errors_that_follow_the_model_leave_the_estimate_as_it_is_without(localize, monkeypatch):
-    path = simulated(0)
-    widths = []
-    for adapts in (True, False):
-        if not adapts:
-            monkeypatch.setattr(ErrorScale, "factor", 1.0)
-        widths.append(localize(path)[-1].widest_std_m)
-    assert widths[0] == pytest.approx(widths[1], rel=0.1)
-
-
 def test_a_gap_forgets_the_place_compared_with_and_keeps_what_was_found():
     path = understated(simulated(0), 4.0)
     gap = GapConfig(speed_m_per_s=0.0, turn_rad_per_s=0.0)
@@ -344,21 +309,6 @@ def test_a_gap_forgets_the_place_compared_with_and_keeps_what_was_found():
     forgotten = observed(replace(scale, place=None).predict(AHEAD, APART), path.posteriors[0])
     assert (forgotten.total, forgotten.count) == (scale.total, scale.count)
     assert forgotten.place.translation == pytest.approx(path.posteriors[0].means.translation[0])
-
-
-def test_images_that_say_nothing_are_not_compared():
-    path = understated(simulated(0), 4.0)
-    every_third = [
-        posterior if i % 3 == 0 else replace(shifted(posterior, UP), ood_score=2.0)
-        for i, posterior in enumerate(path.posteriors)
-    ]
-    widths = []
-    for posteriors in (
-        every_third,
-        [p if i % 3 == 0 else PosePosterior.uninformative() for i, p in enumerate(every_third)],
-    ):
-        widths.append(filtered(replace(path, posteriors=posteriors))[-1].covariance)
-    np.testing.assert_allclose(widths[0], widths[1])
 
 
 def test_each_camera_of_a_rig_has_its_own():

@@ -11,7 +11,7 @@ from filtering.localizer import ParticleLocalizer
 from filtering.motion import Odometry, OdometryBias
 from filtering.se3 import Poses
 from tests.helpers.full import some
-from tests.helpers.simulation import ERRORS, STD, image_errors, lifted, motion, seen_at, wandering
+from tests.helpers.simulation import ERRORS, STD, image_errors, lifted, seen_at, wandering
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 
@@ -19,7 +19,6 @@ RNG = np.random.default_rng
 ALIKE = (0.0, 3.0, 6.0)
 PIXEL_NOISE = np.array([1e-3] * 3 + [5e-4] * 3)
 AT_REST = np.array([1e-4] * 3 + [5e-5] * 3)
-SURE = ((ALIKE[:1], (1.0,)),) * 60  # unique images: what the belief begins with
 
 
 def stds_of(mode):
@@ -80,35 +79,6 @@ def test_where_only_one_place_looks_so_standing_does_not_narrow_it_beyond_what_l
     least = ERRORS.correlated_fraction * STD**2 + np.diag(ERRORS.constant_covariance(np.zeros((6, 6))))
     assert (np.diag(mode.covariance) > 0.97 * least).all()
     assert (np.diag(mode.covariance) < STD**2 + np.diag(ERRORS.constant_covariance(np.zeros((6, 6))))).all()
-
-
-def test_walking_does_narrow_it():
-    localizer, rng, pose = ParticleLocalizer(None, rng=RNG(0)), RNG(1), Poses.identity()
-    standing = stand(localizer, (1.0,), 100, noise=PIXEL_NOISE)[-1].modes[0]
-    step = motion(0.1, 0, 0, 0, 0, 0.02, std=[1e-3] * 6)
-    for error in image_errors([0.21] * 59, ERRORS, rng=rng):
-        pose = pose @ step.previous_from_current
-        walked = localizer.update(seen_at(pose @ Poses.exp(error)), step).modes[0]
-    assert (stds_of(walked) < 0.7 * stds_of(standing)).all()
-
-
-def test_standing_does_not_take_back_what_the_way_has_told():
-    """A belief that knows where it is stops where two places look alike, and stays sure for a quarter of an hour."""
-    localizer = ParticleLocalizer(None, rng=RNG(0))
-    step = motion(0.2, 0, 0, 0, 0, 0, std=[1e-3] * 6)
-    pose = Poses.identity()
-    for heights_m, shares in SURE:
-        before = localizer.update(seen_at(lifted(pose, heights_m), shares), step)
-        pose = pose @ step.previous_from_current
-    assert before.status == "converged"  # precondition
-    begun = weights_of(before, ALIKE[:2])
-    pose = pose @ step.previous_from_current.inverse()
-    estimates = []
-    for _ in range(9):  # a quarter of an hour, ten images a second in some of it
-        localizer.predict(motion(0, 0, 0, 0, 0, 0, std=AT_REST * 30, duration_s=96.0))
-        estimates += stand(localizer, (0.5, 0.5), 40, pose=pose)
-    assert weights_of(estimates[-1], ALIKE[:2])[0] > begun[0] - 0.02
-    assert all(estimate.status == "converged" for estimate in estimates)
 
 
 # --- at any rate ------------------------------------------------------------------------------------

@@ -2,11 +2,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from filtering.errors import VaporTrackError
-from filtering.hypotheses import BIAS, POSE, Hypotheses, birth, concatenate, correlated_error, log_sum, with_source
+from filtering.hypotheses import BIAS, POSE, Hypotheses, birth, correlated_error, log_sum, with_source
 from filtering.measurement_noise import MeasurementNoise
 from filtering.mixture_reduction import reduce_mixture
 from filtering.motion import Odometry, OdometryBias
@@ -145,30 +143,6 @@ def test_many_hypotheses_move_as_the_transition_of_the_state_says():
     np.testing.assert_allclose(after, transition @ h.covariance @ transition.T + noise, atol=1e-12)
 
 
-@settings(max_examples=30)
-@given(
-    seed=st.integers(0, 10_000),
-    cuts=st.lists(st.floats(0.0, 1.0), min_size=1, max_size=5),
-)
-def test_two_motions_are_one_motion_that_is_both(seed, cuts):
-    """Without odometry bias, hypotheses after the parts equal those after `then`."""
-    rng = np.random.default_rng(seed)
-    start = birth(seen_at(Poses.exp(rng.standard_normal((3, 6))), (0.5, 0.3, 0.2)), 0, 1, NEVER, None)
-    parts = [
-        Odometry(Poses.exp(0.3 * rng.standard_normal(6)), random_covariances(1, 6, seed=seed + k, scale=0.05)[0], cut)
-        for k, cut in enumerate(cuts)
-    ]
-    whole = parts[0]
-    one = predict(start, parts[0], NEVER, [0.1])
-    for part in parts[1:]:
-        whole = whole.then(part)
-        one = predict(one, part, NEVER, [0.1])
-    both = predict(start, whole, NEVER, [0.1 * len(parts)])
-    np.testing.assert_allclose(one.poses.as_matrix(), both.poses.as_matrix(), atol=1e-9)
-    np.testing.assert_allclose(one.covariance, both.covariance, atol=1e-9)
-    np.testing.assert_allclose(one.mean, both.mean, atol=1e-12)
-
-
 def test_a_steady_motion_in_any_parts_leaves_the_same_belief_odometry_bias_and_all():
     """The parts' odometry bias are taken as constant over each part: 30 of them differ by less than 2 % of a std."""
     slow = OdometryBias(scale=0.02, relative_drift=1.0, time_s=30.0)
@@ -230,17 +204,6 @@ def test_merging_keeps_weight_mean_and_covariance_of_the_mixture():
     std = np.sqrt(np.diag(expected))
     np.testing.assert_allclose(mean / std, expected_mean / std, atol=0.01)  # but for the curvature of SE(3)
     np.testing.assert_allclose(covariance / np.outer(std, std), expected / np.outer(std, std), atol=0.02)
-
-
-def test_merging_groups_apart_keeps_the_weight_of_each():
-    here, there = bank(10, seed=1), bank(10, seed=2)
-    far = Poses.exp(np.array([9.0, 0, 0, 0, 0, 0]))
-    both = concatenate([here, replace(there, poses=far @ there.poses)])
-    both = both.with_log_weights(both.log_weights + np.repeat(np.log([0.8, 0.2]), 10))
-    at_far = both.poses.translation[:, 0] > 7.0
-    merged = fewer(both, divergence=100.0)
-    assert len(merged) < 6
-    assert merged.weights[merged.poses.translation[:, 0] > 7.0].sum() == pytest.approx(both.weights[at_far].sum())
 
 
 @pytest.mark.parametrize("weights", [(0.9, 0.1), (0.1, 0.9)])

@@ -80,21 +80,6 @@ def test_a_camera_seen_later_for_the_first_time_brings_errors_of_its_own():
     assert np.exp(again.log_weights).sum() == pytest.approx(1.0)
 
 
-def test_the_order_of_two_cameras_does_not_matter_much():
-    estimates = []
-    for order in (1, -1):
-        localizer, rng = new_localizer(), RNG(0)
-        for _ in range(10):
-            views = [
-                View(seen_at(mount @ Poses.exp(0.5 * STD * rng.standard_normal(6))), mount, name)
-                for mount, name in ((FRONT, "front"), (BACK, "back"))
-            ]
-            estimates.append(localizer.update(views[::order], STAY))
-    one, other = (estimate.modes[0] for estimate in (estimates[9], estimates[19]))
-    assert one.world_from_camera.distance(other.world_from_camera)[0] < 0.02
-    assert one.widest_std_m == pytest.approx(other.widest_std_m, rel=0.02)
-
-
 def test_two_views_of_one_camera_at_one_moment_are_refused():
     view = View(seen_at(Poses.identity(1)), FRONT, "front")
     with pytest.raises(VaporTrackError, match="views of cameras front, front, expected each once"):
