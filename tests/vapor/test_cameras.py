@@ -20,7 +20,6 @@ from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
 from vapor.observation import VaporObservationModel
 from vapor.regressors.backbones import Describer
 from vapor.regressors.ood_model import OodModel
-from vapor.tensor_files import CheckpointError
 from vapor.training.train import train_on
 from vapor.training_data.load import load_training_set
 
@@ -74,12 +73,6 @@ def test_the_same_view_is_left_bit_by_bit() -> None:
     assert as_taken(image := taken_by(A), A.scaled(320, 240)) is image  # the camera at another size
     assert (as_taken.cameras, as_taken.notices) == ({}, [])
     assert as_taken(taken_by(OTHERS["16:9"]), OTHERS["16:9"]).shape == (30, 40, 3)
-
-
-def test_the_same_field_of_view_with_pixels_of_another_shape_is_resampled() -> None:
-    image = np.random.default_rng(0).integers(0, 255, (90, 160, 3), dtype=np.uint8)
-    seen = AsTakenBy(A, (A.width, A.height))(image, A.scaled(160, 90))
-    assert seen.shape[1] * A.height == seen.shape[0] * A.width
 
 
 def test_what_a_person_should_know_is_said_once() -> None:
@@ -144,27 +137,6 @@ def test_a_model_file_written_before_cameras_were_kept_has_none(tmp_path: Path) 
     assert old.seen_sha256() == uncalibrated().seen_sha256()
 
 
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        ({"fx": "long"}, "camera configuration has fx 'long', expected a number"),
-        ({"width": 160.5}, "camera configuration has width 160.5, expected a whole number"),
-        ({"fy": -1.0}, "camera with fy -1.0, expected between"),
-        ({"k1": 0.1}, r"camera configuration lacks \[\] and has surplus \['k1'\]"),
-    ],
-)
-def test_a_camera_in_a_model_file_that_is_none_is_refused(change: dict, said: str, tmp_path: Path) -> None:
-    save_checkpoint(tmp_path / "m.safetensors", replace(uncalibrated(), camera=A))
-
-    def damage(tensors: Tensors, metadata: Metadata) -> None:
-        config = json.loads(metadata["config"])
-        config["camera"] |= change
-        metadata["config"] = json.dumps(config)
-
-    with pytest.raises(CheckpointError, match=said):
-        load_checkpoint(altered(tmp_path / "m.safetensors", tmp_path / "bad.safetensors", damage))
-
-
 # --- in use and in training ------------------------------------------------------------------------
 
 
@@ -200,13 +172,6 @@ def test_recordings_of_several_cameras_become_those_of_the_camera_of_most_images
     held_out = load_training_set({"d": frames_of(other, 2)}, (40, 30), camera=A)
     assert np.abs(held_out.images[0].astype(float) - expected).mean() < 2.0
     assert held_out.camera == A
-
-
-def test_recordings_of_one_camera_are_left_as_they_are_and_nothing_is_said() -> None:
-    loaded = load_training_set({"a": frames_of(A, 2), "b": frames_of(A.scaled(80, 60), 1, A)}, (40, 30))
-    assert (loaded.camera, loaded.notices) == (A, ())
-    unknown = load_training_set({"a": frames_of(None, 2)}, (40, 30))
-    assert (unknown.camera, unknown.notices) == (None, ())
 
 
 def test_a_training_keeps_its_camera_in_the_model(tmp_path: Path) -> None:

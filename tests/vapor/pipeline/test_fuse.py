@@ -3,7 +3,6 @@
 import itertools
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -116,20 +115,6 @@ def test_names_that_do_not_match_are_told_of_both_files(tmp_path, truth):
     other = file_of(tmp_path / "other.txt", {f"walk/{i}.png": pose for i, pose in enumerate(walk().values())})
     with pytest.raises(SequenceError, match=r"other.txt has 120 names such as 'walk/0', .*truth.txt has 120 names"):
         EstimateSequence([truth, other], odometry=truth, options=BACK)
-
-
-def test_each_file_has_a_clock_of_its_own_though_some_stamps_coincide(tmp_path):
-    turns = 0.03 * np.random.default_rng(0).standard_normal((40, 3)).repeat(10, axis=0)
-    poses = Poses.exp(np.cumsum(np.concatenate([np.full((400, 3), 0.01), turns], axis=1), axis=0))
-    times_ns = 10**18 + np.arange(400) * 50_000_000
-    for name, late_ns in (("odometry", 0), ("exact", 0), ("late", 300_000_000)):  # of six frames
-        write_tum(tmp_path / f"{name}.tum", Trajectory(times_ns + late_ns, poses))
-    files = [tmp_path / "exact.tum", tmp_path / "late.tum"]
-    told = EstimateSequence(files, odometry=tmp_path / "odometry.tum", options=EstimateOptions())
-    (notice,) = told.notices
-    assert "late.tum: by its rotation the clock differs: -0.30 s" in notice
-    found = EstimateSequence(files, odometry=tmp_path / "odometry.tum", options=EstimateOptions(time_offset_s="auto"))
-    assert ["time offset -0.300" in each for each in found.notices] == [False, True]
 
 
 def test_columns_of_no_file_are_refused(tmp_path):
@@ -359,21 +344,3 @@ def test_what_cannot_be_used_is_one_line_and_leaves_nothing(tmp_path, truth, cap
     assert stop.value.code == 2
     assert "either --odometry FILE or --simulate-odometry FILE" in capsys.readouterr().err
     assert not output.exists()
-
-
-@pytest.mark.usefixtures("unchecked")
-def test_real_estimates_of_a_staircase_have_no_tail_left(shared_data: Path, tmp_path: Path, capsys):
-    """The 150 frames of 7-Scenes stairs around hloc's longest run of wrong estimates: all that were asked for."""
-    folder = shared_data / "7scenes_stairs"
-    lines = (folder / "estimates" / "stairs_hloc.txt").read_text().splitlines()
-    kept = [line for line in lines if "seq-01/frame-000200" <= line.split(".")[0] < "seq-01/frame-000350"]
-    (tmp_path / "hloc.txt").write_text("\n".join(kept))
-    words = ["fuse", str(tmp_path / "hloc.txt"), "--simulate-odometry", str(folder / "stairs_test.txt")]
-    words += ["--direction", "world-to-camera", "--output", str(tmp_path / "result"), *SMALL]
-    assert main(words) == 0
-    report = json.loads((tmp_path / "result" / "report.json").read_text())
-    assert report["frames"] == 150
-    assert report["skipped"] == {"no estimate": 850}
-    assert "Only" not in capsys.readouterr().out
-    assert report["single_image"]["worse_than"]["0.25m"] > 0.3
-    assert report["filter"]["worse_than"]["0.25m"] < 0.02

@@ -22,8 +22,7 @@ from sequences.odometry_fit.result import OdometryFit
 from sequences.reader import SequenceReader
 from sequences.trajectories.tum import read_tum, write_tum
 from tests.helpers.command_line import report_of
-from tests.helpers.full import full
-from tests.helpers.sequence_files import BEGIN_NS, Walk, as_split_folder, rewrite
+from tests.helpers.sequence_files import BEGIN_NS, Walk, rewrite
 from tests.helpers.tf_files import robot, stamps
 from tests.helpers.tiny_model import SMALL
 from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
@@ -222,32 +221,6 @@ def test_evaluate_takes_other_true_poses(finished, tmp_path):
     options = ["--ground-truth", str(tmp_path / "truth.tum"), "--output", str(tmp_path / "figures.json")]
     assert main(["evaluate", str(finished.directory), *options]) == 0
     assert json.loads((tmp_path / "figures.json").read_text())["filter"]["ape_rmse_m"] == 0.0
-
-
-# --- the same twice -------------------------------------------------------------------------------
-
-
-@full
-@pytest.mark.usefixtures("unchecked")
-def test_the_same_seed_gives_the_same_bytes_and_another_seed_does_not(finished, tiny_model, walk_of_25, tmp_path):
-    assert run(walk_of_25, tiny_model, tmp_path / "again") == 0
-    assert run(walk_of_25, tiny_model, tmp_path / "other", "--seed", "1", "--no-recording") == 0
-    for name in TRAJECTORIES | {"config.json", "estimate.mcap"}:
-        assert (tmp_path / "again" / name).read_bytes() == (finished.directory / name).read_bytes(), name
-    first, again, other = (report_of(d) for d in (finished.directory, tmp_path / "again", tmp_path / "other"))
-    for report in (first, again, other):
-        del report["step_ms"], report["peak_rss_mb"]
-    assert again == first
-    assert other != first
-    assert (tmp_path / "other" / "trajectory.tum").read_bytes() != (tmp_path / "again" / "trajectory.tum").read_bytes()
-
-
-@pytest.mark.usefixtures("unchecked", "plain_results")
-def test_a_rosbag2_folder_gives_what_its_file_gives(finished, tiny_model, walk_of_25, tmp_path):
-    folder = as_split_folder(walk_of_25, tmp_path)
-    assert run(folder, tiny_model, tmp_path / "out", "--no-recording") == 0
-    for name in ("trajectory.tum", "smoothed.tum"):
-        assert (tmp_path / "out" / name).read_bytes() == (finished.directory / name).read_bytes()
 
 
 # --- less than everything -------------------------------------------------------------------------

@@ -103,17 +103,6 @@ def test_smoothed_poses_are_doubtful_where_odometry_was_wrong(kind, tmp_path, ca
     assert f"{doubtful.sum()} of 60 smoothed poses are doubtful: images about them do not fit (status.csv)" in printed
 
 
-@pytest.mark.usefixtures("unchecked", "plain_results")
-def test_ood_images_make_a_run_lost_and_it_recovers(tmp_path):
-    sequence = Walk(60).write(tmp_path / "walk.mcap")
-    record = follow(sequence, tmp_path / "out", storeys_of(sequence, alone=60, out_of_distribution=range(20, 40)))
-    assert record.ood_score.tolist() == [3.0 if 20 <= i < 40 else 0.2 for i in range(60)]
-    assert set(record.status[10:20]) == {"converged"}
-    assert record.status[39] == "lost"
-    assert record.status[59] == "converged"
-    assert record.agreement[39] < 0.3 < 0.7 < record.agreement[59]
-
-
 @dataclass(frozen=True)
 class KnowsWhatIsForeign:
     """Posteriors of one model, with the ood_score of another."""

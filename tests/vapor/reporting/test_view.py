@@ -139,13 +139,6 @@ def test_a_recording_whose_last_bytes_find_no_room_is_an_error_and_leaves_nothin
     assert list(tmp_path.iterdir()) == []
 
 
-def test_closing_twice_is_harmless(tmp_path, steps):
-    with RerunViewer(tmp_path / "recording.rrd") as viewer:
-        viewer.log(steps[0][0], steps[0][1].estimate, None)
-        viewer.close()
-    assert (tmp_path / "recording.rrd").exists()
-
-
 def test_a_viewer_of_nothing_and_a_missing_folder_are_refused(tmp_path):
     with pytest.raises(VaporTrackError, match="got neither"):
         RerunViewer()
