@@ -153,20 +153,6 @@ def test_of_several_places_the_one_nearest_to_what_odometry_expects_is_compared(
     assert scale.factor < 1.0
 
 
-def test_places_a_storey_apart_tell_of_the_errors_as_one_place_does():
-    alone = understated(simulated(2), 4.0)
-    copies = [
-        replace(
-            posterior,
-            means=lifted(posterior.means[0], (-3.0, 0.0, 3.0)),
-            covariances=np.repeat(posterior.covariances, 3, axis=0),
-            weights=np.array([0.1, 0.7, 0.2]),
-        )
-        for posterior in alone.posteriors
-    ]
-    assert scale_along(replace(alone, posteriors=copies)).factor == pytest.approx(scale_along(alone).factor, rel=0.05)
-
-
 def test_odometry_that_knows_little_of_the_way_raises_nothing():
     vague = motion(0.5, 0, 0, 0, 0, 0, std=np.full(6, 3.0))
     scale = observed(ErrorScale(), seen_at(THERE)).predict(vague, APART)

@@ -14,7 +14,6 @@ from tests.helpers.simulation import (
     ODOMETRY_STD,
     OUT_OF_DISTRIBUTION,
     RNG,
-    STAY,
     Oracle,
     assert_same_belief,
     climb,
@@ -146,23 +145,6 @@ def test_a_kidnapped_camera_is_followed_within_a_few_lengths_and_meanwhile_the_b
     assert estimates[-1].modes[0].world_from_camera.distance(pose)[0] < 0.3
 
 
-def test_predicting_moves_the_belief_and_never_makes_it_surer():
-    localizer = new_localizer()
-    before, _ = walk(localizer, 30, shares=(0.6, 0.3), heights_m=(0.0, 3.0))
-    last = before[-1]
-    for _ in range(200):
-        estimate = localizer.predict(AHEAD)
-        np.testing.assert_allclose(
-            [mode.weight for mode in estimate.modes[:2]], [mode.weight for mode in before[-1].modes[:2]], atol=0.02
-        )
-        assert estimate.modes[0].widest_std_m >= last.modes[0].widest_std_m - 1e-9
-        assert (estimate.agreement, estimate.novelty, estimate.ood_score) == (before[-1].agreement, 0.0, 0.0)
-        last = estimate
-    moved = before[-1].modes[0].world_from_camera.distance(last.modes[0].world_from_camera)[0]
-    assert moved > 3.0
-    assert last.modes[0].widest_std_m > 1.5 * before[-1].modes[0].widest_std_m
-
-
 def test_a_belief_too_wide_is_not_converged_though_it_is_one():
     localizer = new_localizer(converged_std_m=0.08)
     assert localizer.update(seen_at(Poses.identity(1)), None).status == "ambiguous"
@@ -213,15 +195,6 @@ def test_an_image_that_equals_the_one_before_comes_from_a_frozen_camera_and_is_u
     assert localizer.observe(image_of(1)).is_uninformative
     assert not localizer.observe(image_of(2)).is_uninformative
     assert not localizer.observe(image_of(1)).is_uninformative
-
-
-def test_a_frozen_camera_on_a_moving_robot_moves_the_belief_by_odometry_alone():
-    frozen, moved = (ParticleLocalizer(Recording(), rng=RNG(0)) for _ in range(2))
-    for localizer in (frozen, moved):
-        for i in range(5):
-            localizer.step(image_of(i), STAY)
-    for _ in range(10):
-        assert_same_belief(frozen.step(image_of(4), AHEAD), moved.predict(AHEAD), atol=0)
 
 
 COVARIANCE = np.diag([0.25, 0.25, 0.04, 0.01, 0.01, 0.07])

@@ -30,19 +30,6 @@ from tests.helpers.simulation import (
 # --- odometry -------------------------------------------------------------------------------------
 
 
-def test_odometry_that_errs_along_but_not_across_stays_so():
-    localizer = new_localizer(odometry_bias=OdometryBias(scale=0.0, relative_drift=0.0))
-    localizer.update(seen_at(Poses.identity(1), std=[1e-3] * 6), None)
-    for _ in range(20):
-        estimate = localizer.predict(motion(0.5, 0, 0, 0, 0, 0, std=[0.10, 0.002, 0.002, 1e-5, 1e-5, 1e-5]))
-    along, across, up = np.sqrt(np.diag(estimate.modes[0].covariance - ERRORS.constant_covariance(np.zeros((6, 6)))))[
-        :3
-    ]
-    assert along == pytest.approx(0.1 * np.sqrt(20), rel=0.01)
-    assert across < 0.02
-    assert up < 0.02
-
-
 @pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("too_long", [0.05, -0.05])
 def test_odometry_that_is_5_percent_off_is_found_out(too_long):

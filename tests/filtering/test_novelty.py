@@ -1,7 +1,5 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from filtering.novelty import NoveltyTracker
 from filtering.se3 import Poses
@@ -41,14 +39,6 @@ def test_one_image_is_worth_one_image_however_far_the_way_to_it():
     tracker, distance = TRACKER.predict(forward(7.0))
     assert distance == pytest.approx(7.0)
     assert tracker.observe()[1] == 1.0
-
-
-@settings(max_examples=50)
-@given(parts=st.lists(st.floats(0.001, 2.0), min_size=1, max_size=30))
-def test_a_straight_way_in_any_parts_is_as_long_as_it_is(parts):
-    _, new, distance = walked(TRACKER, [forward(part) for part in parts])
-    assert distance == pytest.approx(sum(parts))
-    assert new <= distance * (1 + 1e-9)
 
 
 @pytest.mark.parametrize("one", [forward, turned])

@@ -172,15 +172,6 @@ def test_factors_are_square_roots_of_the_covariances_symmetric_in_ordinary_error
     np.testing.assert_allclose(with_covariances(diagonal).factors[0], np.diag(STD / unit) * unit, atol=1e-12)
 
 
-@pytest.mark.parametrize("factor", [1e-3, 30.0])
-def test_factors_do_not_depend_on_the_unit_of_length(factor):
-    """What lasts of an error is told in these units: it must be the same error in any map."""
-    lengths = np.repeat([factor, 1.0], 3)
-    covariances = any_covariances()
-    scaled = with_covariances(covariances * np.multiply.outer(lengths, lengths), ERRORS.scaled(factor))
-    np.testing.assert_allclose(scaled.factors, lengths[:, None] * with_covariances(covariances).factors, rtol=1e-7)
-
-
 # --- images unlike the training ---------------------------------------------------------------------
 
 GROWING = replace(ERRORS, ood_power=1.0, typical_ood_score=0.5)

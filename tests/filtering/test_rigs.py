@@ -42,22 +42,6 @@ def test_a_camera_on_a_rig_says_of_the_rig_what_it_says_of_itself_carried_over()
     assert one.modes[0].world_from_camera.distance(pose)[0] < 0.3
 
 
-def test_two_cameras_of_one_moment_know_more_than_either():
-    stds = {}
-    for names in (("front",), ("back",), ("front", "back")):
-        localizer, rng, pose = new_localizer(), RNG(0), Poses.identity()
-        for _ in range(10):
-            pose = pose @ AHEAD.previous_from_current
-            mounts = {"front": FRONT, "back": BACK}
-            seen = {
-                name: seen_at(pose @ mounts[name] @ Poses.exp(0.3 * STD * rng.standard_normal(6))) for name in mounts
-            }
-            estimate = localizer.update([View(seen[name], mounts[name], name) for name in names], AHEAD)
-        stds[names] = estimate.modes[0].widest_std_m
-        assert estimate.modes[0].world_from_camera.distance(pose)[0] < 0.2
-    assert stds["front", "back"] < 0.9 * min(stds["front",], stds["back",])
-
-
 def test_of_two_cameras_one_may_say_nothing():
     pair, alone = new_localizer(), new_localizer()
     for i in range(10):
