@@ -31,9 +31,11 @@ def test_the_variances_of_an_image_grow_with_twice_the_power_of_its_score():
     assert model.growth(np.inf) == model.growth(2.0) == model.growth(1.0)
 
 
-def test_scaling_there_and_back_is_the_model_itself():
+def test_scaling_multiplies_lengths_and_scaling_back_gives_the_model_itself():
     model = MeasurementNoise(verified=MeasurementNoise(noise_floor=(0.01, 0.01, 0.02, 0.001, 0.001, 0.001)))
-    back = model.scaled(1000.0).scaled(1e-3)
+    scaled = model.scaled(1000.0)
+    assert (scaled.radius_m, scaled.length_m) == (1000.0 * model.radius_m, 1000.0 * model.length_m)
+    back = scaled.scaled(1e-3)
     for after, before in ((back, model), (back.verified, model.verified)):
         for name in vars(before).keys() - {"verified"}:
             np.testing.assert_allclose(getattr(after, name), getattr(before, name), rtol=1e-12)

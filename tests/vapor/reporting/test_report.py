@@ -1,7 +1,6 @@
 """What a run leaves behind: the record, report.json and the table."""
 
 import json
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -54,12 +53,6 @@ def test_a_record_of_no_image_is_refused():
         RunRecorder().finish(skipped={"undecodable_image": 4})
 
 
-def test_without_odometry_and_truth_those_parts_are_absent():
-    record = simulated_record(30, with_truth=False, with_odometry=False)
-    assert record.truth is None
-    assert list(record.methods) == ["single_image", "filter"]
-
-
 def test_however_long_the_run_few_keyframes_are_kept_with_the_first_and_last_among_them(record):
     assert len(record.keyframes) == 24
     assert record.keyframes[0].time_ns == record.times_ns[0]
@@ -90,29 +83,6 @@ def test_thumbnails_are_small_and_do_not_share_the_frames_buffer():
 
 
 # --- report ---------------------------------------------------------------------------------------------
-
-
-def test_smoothed_kalman_and_gaussian_sum_are_evaluated_where_they_exist():
-    recorder = RunRecorder()
-    for frame, step in simulated_steps(40):
-        recorder.add(frame, replace(step, baselines={"gaussian_sum": step.image_modes, "kalman": step.image_modes}))
-    record = recorder.finish()
-    finished = record.with_methods({"smoothed": record.truth.poses})
-    report = build_report(finished)
-    assert report["smoothed"]["converged_at_s"] == 0.0
-    assert report["kalman"]["ape_rmse_m"] == report["single_image"]["ape_rmse_m"]
-    assert report["gaussian_sum"] == report["kalman"]
-    tracking = ["kalman", "gaussian_sum", "filter", "smoothed"]
-    assert list(finished.methods) == ["single_image", "dead_reckoning", *tracking]
-    assert [key for key in report if key in tracking] == tracking
-    assert "Gaussian sum" in rendered(report)
-
-
-def test_without_true_poses_no_method_is_evaluated():
-    report = build_report(simulated_record(30, with_truth=False))
-    assert report["frames_with_true_pose"] == 0
-    assert not {"single_image", "dead_reckoning", "filter"} & set(report)
-    assert "single image" not in rendered(report)
 
 
 def test_a_report_that_is_no_json_leaves_the_old_one_in_place(tmp_path):

@@ -20,18 +20,6 @@ def steps():
     return list(simulated_steps(25))
 
 
-def test_a_recording_appears_under_its_name_only_when_closed(tmp_path, steps):
-    path = tmp_path / "recording.rrd"
-    viewer = RerunViewer(path)
-    for frame, step in steps:
-        viewer.log(frame, step.estimate, step.estimate.particles)
-    assert not path.exists()
-    viewer.close()
-    assert path.read_bytes()[:4] == b"RRF2"
-    assert list(tmp_path.iterdir()) == [path]
-    assert path.stat().st_size < 25 * 40_000
-
-
 def test_a_recording_holds_image_belief_paths_and_plots(tmp_path, steps):
     path = tmp_path / "recording.rrd"
     with RerunViewer(path) as viewer:
