@@ -103,6 +103,7 @@ READ = {
         ["train", "walk.mcap", "--pretrained-weights", "m.training.safetensors", "--output"],
         ["m.training.safetensors", "m.safetensors"],  # beside which the state of the training lies
     ),
+    "initial model": ([*OUTPUTS["train"][:-1], "--initial-model", "m.safetensors", "--output"], ["m.safetensors"]),
     "poses": (["train", "walk.mcap", "--poses", "truth.tum", "--output"], ["truth.tum", "times.txt"]),
     "data set": (["train", "data", "--output"], [IMAGE, POSE]),
     "list": (["train", "data/TrainSplit.txt", "--output"], ["data/TrainSplit.txt", IMAGE]),

@@ -319,7 +319,6 @@ def test_a_clock_that_steps_back_loses_an_instant_and_no_more(walk: Path, tmp_pa
     half = raws[len(raws) // 2].log_time_ns
     with running(walk) as run:
         replayed(run, walk, images=2)
-        told_before = len(run.told)
         for raw in raws:
             if raw.log_time_ns < BEGIN_NS + NS // 5:
                 continue
@@ -330,7 +329,6 @@ def test_a_clock_that_steps_back_loses_an_instant_and_no_more(walk: Path, tmp_pa
         assert max(stamps) > half - NS // 2
         later = [each for each in run.estimates if each.time_ns < half - 3 * NS]
         assert later[0].frame.odometry is None
-        assert len(run.told) >= told_before
 
 
 def test_what_is_not_there_yet_is_waited_for_and_said(walk: Path) -> None:
