@@ -96,6 +96,16 @@ def test_places_do_not_depend_on_the_unit_of_length_or_where_the_map_begins(fact
     assert (label != expected[0]).mean() < 0.003  # single precision moves a sample or two across the border
 
 
+def test_places_kilometres_apart_are_told_from_their_neighbours():
+    """Squared distances of places far from the middle are the small difference of large numbers."""
+    near = [cluster([x, 0, 0, 0, 0, 0], 250, seed=seed) for seed, x in enumerate((-9000.0, -8998.0, 9000.0, 9002.0))]
+    label, count = find_places(Poses.concatenate(near), RADIUS_M, RADIUS_RAD)
+    assert count == 4
+    for k in range(4):
+        own = label[250 * k : 250 * (k + 1)]
+        assert (own == own[0]).mean() > 0.98
+
+
 def test_samples_of_which_none_is_near_another_are_still_one_place():
     samples = Poses.exp(np.concatenate([100.0 * np.arange(50)[:, None], np.zeros((50, 5))], axis=1))
     posterior = PosePosterior.from_samples(samples, ERRORS)

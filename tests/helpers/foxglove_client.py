@@ -26,7 +26,6 @@ class FoxgloveClient:
     """Connected to a server on this machine; used in a `with` block.
 
     Attributes:
-        info: The server's description of itself.
         channels: Offered channels by topic.
     """
 
@@ -44,7 +43,6 @@ class FoxgloveClient:
             answer += self._read(1)
         assert answer.lower().startswith(b"http/1.1 101"), answer
         assert b"sec-websocket-protocol: foxglove.sdk.v1" in answer.lower()
-        self.info: dict[str, Any] = {}
         self.channels: dict[str, dict[str, Any]] = {}
         self._messages: list[Served] = []
 
@@ -91,9 +89,7 @@ class FoxgloveClient:
         kind, data = first & 0x0F, self._read(size)
         if kind == _TEXT:
             content = json.loads(data)
-            if content["op"] == "serverInfo":
-                self.info = content
-            elif content["op"] == "advertise":
+            if content["op"] == "advertise":
                 self.channels |= {channel["topic"]: channel for channel in content["channels"]}
         elif kind == _BINARY and data[0] == _MESSAGE:
             _, subscription, log_time_ns = struct.unpack_from("<BIQ", data)

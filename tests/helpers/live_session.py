@@ -85,12 +85,6 @@ class Running:
         kind = ANSWERS[topic]
         return [decoder(kind)(data) for data in list(self.transport.published[topic])]
 
-    def say(self, raws: list[RawMessage]) -> None:
-        for raw in raws:
-            self.transport.say(raw)
-            if raw.topic.startswith("/odom"):
-                time.sleep(0.001)
-
     def control(self, topic: str, kind: str = "std_msgs/Empty", **fields: Any) -> None:
         self.transport.say(RawMessage(topic, time.time_ns(), encoder(kind)(fields), kind, "cdr", b""))
 
@@ -138,7 +132,6 @@ def running(
     walk: Path,
     *,
     model: KnowingModel | None = None,
-    reading: ReadingOptions | None = None,
     on_estimate: Any = None,
     **settings: Any,
 ) -> Iterator[Running]:
@@ -146,7 +139,7 @@ def running(
     transport = offering(messages_of(walk))
     loaded = knowing(model or KnowingModel())
     told: list[str] = []
-    localization = LiveSession(loaded, transport, reading or ReadingOptions(), LiveConfig(**settings), told.append)
+    localization = LiveSession(loaded, transport, ReadingOptions(), LiveConfig(**settings), told.append)
     estimates: list[LiveEstimate] = []
     run = Running(transport, localization, estimates, told)
 

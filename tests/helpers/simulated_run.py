@@ -14,10 +14,10 @@ FLOOR_M = 3.0
 CAMERA = Camera(width=160, height=120, fx=120.0, fy=120.0, cx=79.5, cy=59.5)
 
 
-def true_walk(count: int, *, storeys: int = 5, height_m: float = FLOOR_M) -> Poses:
+def true_walk(count: int, *, storeys: int = 5) -> Poses:
     """Poses up a stairwell: two flights a storey, the camera looking along its way."""
     turn = np.linspace(0.0, 2 * np.pi * (storeys - 1), count)
-    translation = np.stack([1.2 * np.cos(turn), 2.0 * np.sin(turn), 1.6 + height_m * turn / (2 * np.pi)], axis=1)
+    translation = np.stack([1.2 * np.cos(turn), 2.0 * np.sin(turn), 1.6 + FLOOR_M * turn / (2 * np.pi)], axis=1)
     translation[:, 2] += 0.03 * np.sin(9 * turn)
     yaw = turn + np.pi / 2
     forward = np.stack([np.cos(yaw), np.sin(yaw), np.zeros(count)], axis=1)
