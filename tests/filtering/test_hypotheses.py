@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from filtering.errors import VaporTrackError
-from filtering.hypotheses import BIAS, POSE, Hypotheses, birth, correlated_error, log_sum
+from filtering.hypotheses import BIAS, POSE, Hypotheses, birth, concatenate, correlated_error, log_sum
 from filtering.measurement_noise import MeasurementNoise
 from filtering.mixture_reduction import reduce_mixture
 from filtering.motion import Odometry, OdometryBias
@@ -153,6 +153,17 @@ def test_merging_keeps_weight_mean_and_covariance_of_the_mixture():
     std = np.sqrt(np.diag(expected))
     np.testing.assert_allclose(mean / std, expected_mean / std, atol=0.01)  # but for the curvature of SE(3)
     np.testing.assert_allclose(covariance / np.outer(std, std), expected / np.outer(std, std), atol=0.02)
+
+
+def test_merging_groups_apart_keeps_the_weight_of_each():
+    here, there = bank(10, seed=1), bank(10, seed=2)
+    far = Poses.exp(np.array([9.0, 0, 0, 0, 0, 0]))
+    both = concatenate([here, replace(there, poses=far @ there.poses)])
+    both = both.with_log_weights(both.log_weights + np.repeat(np.log([0.8, 0.2]), 10))
+    at_far = both.poses.translation[:, 0] > 7.0
+    merged = fewer(both, divergence=100.0)
+    assert len(merged) < 6
+    assert merged.weights[merged.poses.translation[:, 0] > 7.0].sum() == pytest.approx(both.weights[at_far].sum())
 
 
 @pytest.mark.parametrize("weights", [(0.9, 0.1), (0.1, 0.9)])

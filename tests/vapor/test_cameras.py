@@ -75,6 +75,12 @@ def test_the_same_view_is_left_bit_by_bit() -> None:
     assert as_taken(taken_by(OTHERS["16:9"]), OTHERS["16:9"]).shape == (30, 40, 3)
 
 
+def test_the_same_field_of_view_with_pixels_of_another_shape_is_resampled() -> None:
+    image = np.random.default_rng(0).integers(0, 255, (90, 160, 3), dtype=np.uint8)
+    seen = AsTakenBy(A, (A.width, A.height))(image, A.scaled(160, 90))
+    assert seen.shape[1] * A.height == seen.shape[0] * A.width
+
+
 def test_what_a_person_should_know_is_said_once() -> None:
     as_taken = AsTakenBy(A, (40, 30))
     narrow = replace(A, fx=1.4 * A.fx, fy=1.4 * A.fy)
@@ -172,6 +178,13 @@ def test_recordings_of_several_cameras_become_those_of_the_camera_of_most_images
     held_out = load_training_set({"d": frames_of(other, 2)}, (40, 30), camera=A)
     assert np.abs(held_out.images[0].astype(float) - expected).mean() < 2.0
     assert held_out.camera == A
+
+
+def test_recordings_of_one_camera_are_left_as_they_are_and_nothing_is_said() -> None:
+    loaded = load_training_set({"a": frames_of(A, 2), "b": frames_of(A.scaled(80, 60), 1, A)}, (40, 30))
+    assert (loaded.camera, loaded.notices) == (A, ())
+    unknown = load_training_set({"a": frames_of(None, 2)}, (40, 30))
+    assert (unknown.camera, unknown.notices) == (None, ())
 
 
 def test_a_training_keeps_its_camera_in_the_model(tmp_path: Path) -> None:

@@ -117,6 +117,20 @@ def test_names_that_do_not_match_are_told_of_both_files(tmp_path, truth):
         EstimateSequence([truth, other], odometry=truth, options=BACK)
 
 
+def test_each_file_has_a_clock_of_its_own_though_some_stamps_coincide(tmp_path):
+    turns = 0.03 * np.random.default_rng(0).standard_normal((40, 3)).repeat(10, axis=0)
+    poses = Poses.exp(np.cumsum(np.concatenate([np.full((400, 3), 0.01), turns], axis=1), axis=0))
+    times_ns = 10**18 + np.arange(400) * 50_000_000
+    for name, late_ns in (("odometry", 0), ("exact", 0), ("late", 300_000_000)):  # of six frames
+        write_tum(tmp_path / f"{name}.tum", Trajectory(times_ns + late_ns, poses))
+    files = [tmp_path / "exact.tum", tmp_path / "late.tum"]
+    told = EstimateSequence(files, odometry=tmp_path / "odometry.tum", options=EstimateOptions())
+    (notice,) = told.notices
+    assert "late.tum: by its rotation the clock differs: -0.30 s" in notice
+    found = EstimateSequence(files, odometry=tmp_path / "odometry.tum", options=EstimateOptions(time_offset_s="auto"))
+    assert ["time offset -0.300" in each for each in found.notices] == [False, True]
+
+
 def test_columns_of_no_file_are_refused(tmp_path):
     with pytest.raises(SequenceError, match="--ground-truth-columns without --ground-truth"):
         EstimateSequence(
