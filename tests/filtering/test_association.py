@@ -89,14 +89,6 @@ def test_a_share_of_each_hypothesis_goes_on_as_it_was_by_how_likely_the_image_is
     assert 0.1 < after.weights[same] < 0.9
 
 
-def test_places_too_far_to_be_seen_leave_the_belief_as_it_was():
-    belief = believed([0.0, 5.0], [0.6, 0.4])
-    after = associate(belief, seen_at(lifted(Poses.identity(), [80.0])), 0, novelty=0.0, distance=2.0).hypotheses
-    np.testing.assert_array_equal(after.poses.translation, belief.poses.translation)
-    np.testing.assert_array_equal(after.covariance, belief.covariance)
-    np.testing.assert_allclose(after.log_weights, belief.log_weights, atol=1e-12)
-
-
 def test_a_place_far_off_for_its_error_pulls_less_than_a_gaussian_would_and_convinces_less():
     heavy = replace(ERRORS, degrees_of_freedom=4.0, outlier_probability=1e-9)
     belief = believed([0.0], [1.0], errors=heavy)

@@ -51,15 +51,6 @@ def test_an_ambiguous_belief_collapses_to_the_truth_once_a_unique_place_is_seen(
     assert estimates[-1].status == "converged"
 
 
-@pytest.mark.usefixtures("unchecked")
-def test_without_a_unique_place_the_true_storey_stays_among_the_modes_and_convergence_is_never_claimed():
-    estimates, _, truth = localize(11, 40, unique=range(0))
-    assert all(estimate.status == "ambiguous" for estimate in estimates)
-    for i, estimate in enumerate(estimates):
-        nearest = min(float(mode.world_from_camera.distance(truth[i])[0]) for mode in estimate.modes)
-        assert nearest < 0.3
-
-
 def test_the_same_seed_gives_the_same_bits_and_another_seed_does_not():
     first, second, other = (localize(seed, 6, range(0))[0][-1] for seed in (3, 3, 4))
     np.testing.assert_array_equal(first.particles.translation, second.particles.translation)

@@ -137,22 +137,6 @@ def test_without_odometry_the_belief_widens_by_the_stated_motion_and_keeps_its_h
     np.testing.assert_allclose(after.covariances, before.covariances + grown, atol=1e-12)
 
 
-def test_after_a_gap_the_image_finds_the_camera_among_the_hypotheses_as_far_as_it_may_have_come():
-    localizer = new_localizer()
-    _, pose = walk(localizer, 30)
-    moved = pose @ Poses.exp(np.array([1.5, -0.5, 0, 0, 0, 0.6]))
-    found = localizer.update(seen_at(moved), None, elapsed_s=2.0)
-    assert found.modes[0].world_from_camera.distance(moved)[0] < 0.1
-    assert found.modes[0].weight > 0.9
-
-
-def test_a_belief_that_forgets_starts_anew_from_the_image():
-    localizer = new_localizer(gap=GapConfig(action="forget"))
-    walk(localizer, 30)
-    there = seen_at(Poses.exp(np.array([[40.0, 3, 0, 0, 0, 2]])))
-    assert_same_belief(localizer.update(there, None), new_localizer().update(there, None), atol=0)
-
-
 @pytest.mark.parametrize(
     "nothing", [PosePosterior.uninformative(), OUT_OF_DISTRIBUTION, seen_at(Poses.identity(1), ood_score=2.0), []]
 )

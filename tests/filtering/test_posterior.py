@@ -106,13 +106,6 @@ def test_places_kilometres_apart_are_told_from_their_neighbours():
         assert (own == own[0]).mean() > 0.98
 
 
-def test_samples_of_which_none_is_near_another_are_still_one_place():
-    samples = Poses.exp(np.concatenate([100.0 * np.arange(50)[:, None], np.zeros((50, 5))], axis=1))
-    posterior = PosePosterior.from_samples(samples, ERRORS)
-    assert len(posterior.weights) == 1
-    assert posterior.weights[0] == pytest.approx(1 / 50)
-
-
 def test_shares_never_exceed_one_and_every_place_has_samples():
     rng = np.random.default_rng(5)
     for _ in range(20):

@@ -20,9 +20,6 @@ def log(weights):
         return np.log(weights)
 
 
-# --- systematic -------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("weights", WEIGHTS)
 def test_systematic_gives_each_index_its_share_rounded_down_or_up_whatever_the_weights_add_up_to(weights):
     for total in (1.0, 1e-9, 7.0):
@@ -35,9 +32,6 @@ def test_systematic_agrees_with_filterpy_for_the_same_offset(monkeypatch):
     monkeypatch.setattr("filterpy.monte_carlo.resampling.random", lambda: np.random.default_rng(4).random())
     theirs = systematic_resample(weights)
     np.testing.assert_array_equal(systematic(weights, 64, rng=np.random.default_rng(4)), theirs)
-
-
-# --- thinning out -----------------------------------------------------------------------------------
 
 
 @settings(max_examples=200)

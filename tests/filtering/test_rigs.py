@@ -26,9 +26,6 @@ FRONT = Poses.exp(np.array([0.3, 0, 0.1, 0, 0, 0]))
 BACK = Poses.exp(np.array([-0.3, 0.1, 0.1, 0, 0, np.pi - 0.2]))
 
 
-# --- several cameras ------------------------------------------------------------------------------
-
-
 def test_a_camera_on_a_rig_says_of_the_rig_what_it_says_of_itself_carried_over():
     rig, alone = new_localizer(), new_localizer()
     rng, pose = RNG(0), Poses.identity()
@@ -75,9 +72,6 @@ def test_no_view_at_all_is_a_prediction():
     for localizer in (one, other):
         walk(localizer, 5)
     assert_same_belief(one.update([], AHEAD), other.predict(AHEAD), atol=0)
-
-
-# --- what a review found --------------------------------------------------------------------------
 
 
 def test_a_rig_begins_at_its_first_view_that_has_places():

@@ -155,16 +155,9 @@ def write_listing(bag: Path) -> Path:
 
 
 def as_file_without_index(source: Path, folder: Path) -> Path:
-    return rewrite(
-        source,
-        folder / "without_index.mcap",
-        chunk_size=4000,
-        index_types=IndexType.NONE,
-        repeat_channels=False,
-        repeat_schemas=False,
-        use_statistics=False,
-        use_summary_offsets=False,
-    )
+    left_out = ("repeat_channels", "repeat_schemas", "use_statistics", "use_summary_offsets")
+    options = {"chunk_size": 4000, "index_types": IndexType.NONE, **dict.fromkeys(left_out, False)}
+    return rewrite(source, folder / "without_index.mcap", **options)
 
 
 def as_file_without_chunks(source: Path, folder: Path) -> Path:
@@ -218,16 +211,9 @@ def _messages(source: Path) -> Iterator[tuple[Any, Any, Any]]:
 
 
 FORMS = [
-    as_file,
-    as_split_folder,
-    as_file_without_index,
-    as_file_without_chunks,
-    as_sqlite_folder,
-    as_packed_messages,
-    as_ros1_bag,
+    *(as_file, as_split_folder, as_file_without_index, as_file_without_chunks),
+    *(as_sqlite_folder, as_packed_messages, as_ros1_bag),
 ]
-
-
 Form = Callable[[Path, Path], Path]
 
 

@@ -8,7 +8,6 @@ from filtering.errors import VaporTrackError
 from filtering.localizer import ParticleLocalizer
 from filtering.measurement_noise import MeasurementNoise
 from filtering.posterior import PosePosterior
-from tests.helpers.checkpoints import BOX
 from tests.helpers.observing import CONFIG, IMAGE, observe, uncalibrated
 from vapor.checkpoints.calibration import Calibration
 from vapor.images import prepare
@@ -27,17 +26,6 @@ def test_observing_draws_from_no_global_generator():
     observe(IMAGE)
     assert torch.equal(torch.get_rng_state(), torch_before)
     np.testing.assert_array_equal(np.random.get_state(legacy=False)["state"]["key"], numpy_before)  # noqa: NPY002
-
-
-def test_samples_are_rigid_transforms_inside_the_scene_box():
-    poses = observe(IMAGE).samples
-    assert poses.batch_shape == (50,)
-    assert poses.translation.dtype == np.float64
-    np.testing.assert_allclose(
-        poses.rotation @ np.swapaxes(poses.rotation, 1, 2), np.tile(np.eye(3), (50, 1, 1)), atol=1e-6
-    )
-    assert (poses.translation >= BOX.lower).all()
-    assert (poses.translation <= BOX.upper).all()
 
 
 def test_samples_are_those_of_the_network_for_the_same_noise():

@@ -14,9 +14,6 @@ from vapor.track import main
 NOWHERE = Poses(np.eye(3), np.array([np.nan, 0.0, 0.0]))
 
 
-# --- sequences that cannot be used ----------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("lacking", "said"),
     [
@@ -72,9 +69,6 @@ def test_a_transform_that_is_not_finite_is_named(tiny_model, earlier, capsys, mo
     path = walk.write(earlier.parent / "walk.mcap")
     said = ["no transform from 'base_link'", "transform base_link -> camera_optical_frame: pose is not finite"]
     refuse_run(path, tiny_model, earlier, capsys, path.name, *said)
-
-
-# --- images and messages that are left out --------------------------------------------------------
 
 
 @pytest.mark.parametrize(("stream", "topic"), [("odometry", "/odom"), ("truth", "/ground_truth/pose")])

@@ -17,8 +17,6 @@ SMALL = ["--localizer.max-hypotheses", "60", "--no-recording"]
 WEIGHTED = ["--columns", "name qw qx qy qz tx ty tz _ weight"]
 
 
-# --- what weights are worth ----------------------------------------------------------------------------
-
 WEIGHTS = st.lists(st.tuples(st.integers(0, 3), st.floats(1e-3, 1e4)), min_size=1, max_size=12)
 
 
@@ -57,9 +55,6 @@ def test_hypotheses_have_the_uncertainty_of_their_file_and_the_probability_of_th
     posterior = model.observe(seen, rng=np.random.default_rng(0))
     np.testing.assert_allclose(posterior.weights, [0.1, 0.3, 0.45])
     np.testing.assert_allclose(posterior.covariances[:, 0, 0], [0.05**2, 0.05**2, 0.1**2])
-
-
-# --- files that state them -----------------------------------------------------------------------------
 
 
 @pytest.mark.usefixtures("unchecked")

@@ -12,16 +12,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mcap.reader import make_reader
-from mcap_ros2.decoder import DecoderFactory
 
 from filtering.se3 import Poses
 from filtering.storeys import Storeys
 from sequences.frame import Trajectory
 from sequences.odometry_fit.result import OdometryFit
 from sequences.reader import SequenceReader
+from sequences.recordings.bag import Bag
+from sequences.recordings.messages import pose_from_message
 from sequences.trajectories.tum import read_tum, write_tum
 from tests.helpers.command_line import report_of
+from tests.helpers.live_system import stamp
 from tests.helpers.pages import entities_of
 from tests.helpers.sequence_files import BEGIN_NS, Walk, rewrite
 from tests.helpers.tf_files import robot, stamps
@@ -167,29 +168,16 @@ def test_evaluate_refuses_files_that_are_not_those_of_the_run(finished, tmp_path
 
 def test_the_estimate_can_be_read_back_with_the_poses_of_the_trajectory(finished):
     trajectory = read_tum(finished.directory / "trajectory.tum")
-    by_topic: dict[str, list] = {}
-    with open(finished.directory / "estimate.mcap", "rb") as stream:
-        for schema, channel, _, message in make_reader(
-            stream, decoder_factories=[DecoderFactory()]
-        ).iter_decoded_messages():
-            assert schema is not None
-            by_topic.setdefault(f"{channel.topic} {schema.name}", []).append(message)
-    assert {topic: len(messages) for topic, messages in by_topic.items()} == {
-        "/estimate/pose geometry_msgs/msg/PoseWithCovarianceStamped": 25,
-        "/estimate/modes visualization_msgs/msg/MarkerArray": 25,
-        "/estimate/particles geometry_msgs/msg/PoseArray": 25,
-        "/tf tf2_msgs/msg/TFMessage": 25,
-    }
-    poses = by_topic["/estimate/pose geometry_msgs/msg/PoseWithCovarianceStamped"]
-    assert [p.header.stamp.sec * 10**9 + p.header.stamp.nanosec for p in poses] == trajectory.times_ns.tolist()
-    at = np.array([[p.pose.pose.position.x, p.pose.pose.position.y, p.pose.pose.position.z] for p in poses])
-    np.testing.assert_allclose(at, trajectory.poses.translation, atol=1e-8)
-    turned = [p.pose.pose.orientation for p in poses]
-    read = Poses.from_quat_xyzw(at, np.array([[q.x, q.y, q.z, q.w] for q in turned]))
-    assert trajectory.poses.distance(read)[1].max() < 1e-7
-    assert all(np.linalg.eigvalsh(np.reshape(p.pose.covariance, (6, 6)))[0] >= -1e-9 for p in poses)
-    clouds = by_topic["/estimate/particles geometry_msgs/msg/PoseArray"]
-    assert {len(cloud.poses) for cloud in clouds} == {500}
+    bag = Bag(finished.directory / "estimate.mcap")
+    assert {*bag.topics} == {"/estimate/pose", "/estimate/modes", "/estimate/particles", "/tf"}
+    messages = {topic: [raw.decode() for raw in bag.messages([topic])] for topic in bag.topics}
+    assert {len(each) for each in messages.values()} == {25}
+    poses = messages["/estimate/pose"]
+    assert [stamp(message.header) for message in poses] == trajectory.times_ns.tolist()
+    read = Poses.stack([pose_from_message(message.pose.pose) for message in poses])
+    assert np.max(trajectory.poses.distance(read)) < 1e-7
+    assert all(np.linalg.eigvalsh(np.reshape(message.pose.covariance, (6, 6)))[0] >= -1e-9 for message in poses)
+    assert {len(message.poses) for message in messages["/estimate/particles"]} == {500}
 
 
 def test_the_configuration_tells_every_setting_as_it_was_used(finished):

@@ -25,9 +25,6 @@ def rendered(report) -> str:
     return console.export_text()
 
 
-# --- record ---------------------------------------------------------------------------------------------
-
-
 def test_the_record_holds_every_image_in_order(record):
     frames, steps = zip(*simulated_steps(150), strict=True)
     singles = [step.image_modes[0].world_from_camera for step in steps]
@@ -80,9 +77,6 @@ def test_thumbnails_are_small_and_do_not_share_the_frames_buffer():
         thumbnail = recorder.finish().keyframes[0].thumbnail
         assert thumbnail.shape == shape
         assert thumbnail.flat[0] == before != 99
-
-
-# --- report ---------------------------------------------------------------------------------------------
 
 
 def test_a_report_that_is_no_json_leaves_the_old_one_in_place(tmp_path):
