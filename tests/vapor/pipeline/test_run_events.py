@@ -2,10 +2,8 @@
 
 import csv
 import itertools
-from dataclasses import dataclass, replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
@@ -16,16 +14,11 @@ from sequences.reading.counts import IN_GAP
 from tests.helpers.command_line import report_of
 from tests.helpers.sequence_files import BEGIN_NS, Walk, rewrite
 from tests.helpers.simulation import ERRORS, lifted, seen_at
-from tests.helpers.tiny_model import NETWORK
-from vapor.calibration.ood_model import learn_ood_model
-from vapor.checkpoints.file_format import load_checkpoint
 from vapor.commands.run import show_run
-from vapor.observation import VaporObservationModel
 from vapor.pipeline.config import FilteringConfig
 from vapor.pipeline.localize import localize
 from vapor.pipeline.results import write_results
 from vapor.reporting.record import RunRecord
-from vapor.training_data.load import load_training_set
 
 
 class Storeys:
@@ -101,36 +94,3 @@ def test_smoothed_poses_are_doubtful_where_odometry_was_wrong(kind, tmp_path, ca
     assert doubtful[off_m > 0.5].all()
     assert doubtful[off_m < 0.1].mean() < 0.1  # images about a pose count, too
     assert f"{doubtful.sum()} of 60 smoothed poses are doubtful: images about them do not fit (status.csv)" in printed
-
-
-@dataclass(frozen=True)
-class KnowsWhatIsForeign:
-    """Posteriors of one model, with the ood_score of another."""
-
-    says: Storeys
-    knows: VaporObservationModel
-
-    def observe(self, image, *, rng):
-        ood_score = self.knows.observe(image, rng=rng).ood_score
-        return replace(self.says.observe(image, rng=rng), ood_score=ood_score)
-
-
-@pytest.mark.usefixtures("unchecked", "plain_results")
-def test_black_frames_are_lost_where_the_model_knows_what_is_familiar(tiny_model, tmp_path):
-    """They are equal, pixel by pixel: a camera that freezes on a picture of the place is not lost."""
-    walk = Walk(60)
-    black = cv2.imencode(".png", np.zeros((32, 48, 3), np.uint8))[1].tobytes()
-    walk.images = [(time_ns, data if i < 30 else black) for i, (time_ns, data) in enumerate(walk.images)]
-    sequence = walk.write(tmp_path / "black.mcap")
-    checkpoint = load_checkpoint(tiny_model)
-    images = load_training_set({"walk": list(SequenceReader(sequence))[:30] * 3}, NETWORK.frame_size)
-    knowing = replace(checkpoint, ood_model=learn_ood_model(checkpoint.build_network(), images, images))
-    status = {}
-    for name, known in (("knowing", knowing), ("unknowing", checkpoint)):
-        model = KnowsWhatIsForeign(
-            storeys_of(sequence, alone=60), VaporObservationModel(known, num_samples=1, device="cpu")
-        )
-        status[name] = follow(sequence, tmp_path / name, model).status
-    assert status["knowing"][10:30] == status["unknowing"][10:30] == ("converged",) * 20
-    assert status["knowing"][50:] == ("lost",) * 10
-    assert "lost" not in status["unknowing"]
