@@ -80,7 +80,7 @@ def test_a_run_writes_everything_and_leaves_nothing_else(finished):
     assert names(finished.directory.parent) == {"first"}
     assert all(path.stat().st_size > 100 for path in finished.directory.iterdir())
     shown = entities_of(finished.directory / "recording.rrd")
-    assert {"/world/path/smoothed", "/world/path/dead_reckoning", "/world/place/training_cameras"} <= shown
+    assert {"/world/path/smoothed", "/world/path/dead_reckoning", "/world/path/filter"} <= shown
 
 
 def test_a_run_prints_its_table_and_where_things_lie_and_no_error(finished):
