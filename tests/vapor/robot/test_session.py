@@ -71,7 +71,11 @@ def test_every_image_is_localized_and_what_a_robot_needs_is_published(walk: Path
         for base in bases:
             metres, _ = pose_from_message(base.pose.pose).distance(world_from_base(np.array(stamp(base.header))))
             assert metres < 0.1
-        stamps = [stamp(message.transforms[0].header) for message in run.messages("tf")]
+        headers = [
+            (message.transforms[0].header, message.transforms[0].child_frame_id) for message in run.messages("tf")
+        ]
+        assert {(header.frame_id, child) for header, child in headers} == {("map", "odom")}
+        stamps = [stamp(header) for header, _ in headers]
         assert stamps == sorted(set(stamps)), "no transform comes twice with one stamp"
         ahead_ns = stamps[-1] - stamp(bases[-1].header)
         assert 0 <= ahead_ns - NS // 10 <= 12, "a nanosecond more each time that the same odometry is told again"
