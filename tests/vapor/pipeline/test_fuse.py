@@ -74,14 +74,6 @@ def test_a_file_may_lack_frames_and_odometry_reaches_across_those_that_all_lack(
     assert 3 * one < three < 9 * one
 
 
-def test_frames_that_odometry_does_not_cover_are_counted(tmp_path, truth):
-    short = file_of(tmp_path / "short.txt", {name: walk()[name] for name in list(walk())[:20]})
-    sequence = EstimateSequence([truth], odometry=short, ground_truth=truth, options=BACK)
-    assert len(list(sequence)) == 20
-    assert sequence.skipped == {"after odometry ends": FRAMES - 20, "no odometry of its sequence": FRAMES}
-    assert sequence.odometry_description == "recorded: short.txt"
-
-
 def test_files_in_millimetres_are_read_as_metres(tmp_path, truth):
     large = {name: Poses(pose.rotation, 1000.0 * pose.translation) for name, pose in walk().items()}
     path = write_named(tmp_path / "large.txt", large, world_to_camera=True)
