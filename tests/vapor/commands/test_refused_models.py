@@ -1,23 +1,12 @@
-"""Models that a run refuses, and outputs that it cannot write to."""
+"""A model that a run refuses, and outputs that it cannot write to."""
 
 from tests.helpers.command_line import contents, refuse, refuse_run, words_of_run
 from tests.helpers.tiny_model import altered
-from vapor.checkpoints import file_format
 
 
 def test_a_model_of_another_version_is_refused(walk_of_25, tiny_model, earlier, capsys):
     model = altered(tiny_model, earlier.parent / "other.safetensors", lambda t, m: m.update(version="1"))
     refuse_run(walk_of_25, model, earlier, capsys, model, "format version is '1', expected '11'; train the model again")
-
-
-def test_an_unknown_model_is_refused_with_a_list_of_those_that_ship(walk_of_25, tmp_path, capsys, monkeypatch):
-    shipped = tmp_path / "models"
-    shipped.mkdir()
-    for name in ("staircase", "ceiling"):
-        (shipped / f"{name}.safetensors").write_bytes(b"")
-    monkeypatch.setattr(file_format, "SHIPPED", shipped)
-    refuse(words_of_run(walk_of_25, "atrium", tmp_path / "out"), capsys, "atrium: no such model", "ceiling, staircase")
-    assert not (tmp_path / "out").exists()
 
 
 def test_an_output_that_is_or_lies_in_a_file_is_refused(walk_of_25, tiny_model, tmp_path, capsys):
