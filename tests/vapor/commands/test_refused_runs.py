@@ -1,4 +1,4 @@
-"""Sequences that a run refuses: one line says why, and nothing is left behind."""
+"""Sequences, models and outputs that a run refuses: one line says why, and nothing is left behind."""
 
 import re
 
@@ -7,8 +7,9 @@ import pytest
 
 from filtering.se3 import Poses
 from tests.helpers import sequence_files
-from tests.helpers.command_line import refuse_run, words_of_run
+from tests.helpers.command_line import contents, refuse, refuse_run, words_of_run
 from tests.helpers.sequence_files import IMAGES, ODOMETRY, Walk, rewrite
+from tests.helpers.tiny_model import altered
 from vapor.track import main
 
 NOWHERE = Poses(np.eye(3), np.array([np.nan, 0.0, 0.0]))
@@ -83,3 +84,17 @@ def test_a_pose_that_is_not_finite_is_left_out_and_named_with_topic_and_time(
     assert re.search(
         rf"{topic}: 1 of \d+ .* \(first at {time_ns} ns: .*not finite.*\): left out", capsys.readouterr().out
     )
+
+
+def test_a_model_of_another_version_is_refused(walk_of_25, tiny_model, earlier, capsys):
+    model = altered(tiny_model, earlier.parent / "other.safetensors", lambda t, m: m.update(version="1"))
+    refuse_run(walk_of_25, model, earlier, capsys, model, "format version is '1', expected '11'; train the model again")
+
+
+def test_an_output_that_is_or_lies_in_a_file_is_refused(walk_of_25, tiny_model, tmp_path, capsys):
+    (tmp_path / "file").write_text("mine")
+    words = words_of_run(walk_of_25, tiny_model, tmp_path / "file")
+    refuse(words, capsys, tmp_path / "file", "is a file, expected a directory")
+    words = words_of_run(walk_of_25, tiny_model, tmp_path / "file" / "out")
+    refuse(words, capsys, tmp_path / "file" / "out", "cannot write", "expected a directory")
+    assert contents(tmp_path) == {"file": b"mine"}
