@@ -1,4 +1,4 @@
-"""The cameras of a localizer: a view of one, and the memory of each."""
+"""What a localizer remembers of its cameras."""
 
 from __future__ import annotations
 
@@ -10,24 +10,10 @@ from filtering.adaptation import ErrorScale
 from filtering.measurement_noise import MeasurementNoise
 from filtering.motion import Odometry
 from filtering.novelty import NoveltyTracker
+from filtering.observation import View
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from filtering.unchecked import unchecked_replace
-
-
-@dataclass(frozen=True)
-class View:
-    """One image of one camera.
-
-    Attributes:
-        posterior: Of its image.
-        reference_from_camera: Its extrinsics: from the camera to the frame that is localized, one pose.
-        camera: Its name; errors are correlated among the images of one camera only.
-    """
-
-    posterior: PosePosterior
-    reference_from_camera: Poses
-    camera: str
 
 
 @dataclass(frozen=True)

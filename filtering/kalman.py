@@ -23,7 +23,8 @@ from filtering.estimate import Mode
 from filtering.hypotheses import POSE, Hypotheses, birth, with_source
 from filtering.measurement_noise import MeasurementNoise
 from filtering.moments import settle
-from filtering.motion import Odometry, OdometryBias, require_duration, require_odometry
+from filtering.motion import Odometry, OdometryBias, require_odometry
+from filtering.observation import Observation
 from filtering.posterior import PosePosterior
 from filtering.prediction import inflate, motion_of_state
 from filtering.se3 import Poses
@@ -79,9 +80,20 @@ class KalmanLocalizer:
             VaporTrackError: the odometry is invalid (`require_odometry`), the elapsed time is negative, or the
                 posterior has no place at a first step. The localizer is then as it was before.
         """
+        return self.advance(Observation.of_image(posterior, odom, elapsed_s))
+
+    def advance(self, observation: Observation) -> Mode:
+        """Follow one image of the one camera that is localized; `update` with its arguments in one.
+
+        Raises:
+            VaporTrackError: as `update`, or there are other views.
+        """
+        views, odom, elapsed_s = observation.views, observation.odometry, observation.elapsed_s
+        if len(views) != 1 or not views[0].reference_from_camera.is_identity:
+            raise VaporTrackError(f"views of {len(views)} cameras, expected one of the camera that is localized")
+        posterior = views[0].posterior
         if odom is not None:
             require_odometry(odom)
-        require_duration(elapsed_s)
         if self._pose is None and len(posterior.weights) == 0:
             raise VaporTrackError("the first image has no place, expected one with at least one")
         if odom is None and self.config.gap.action == "forget":

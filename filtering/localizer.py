@@ -10,18 +10,16 @@ import numpy as np
 from jaxtyping import Float64
 
 from filtering.belief import Belief
-from filtering.cameras import View
 from filtering.config import LocalizerConfig
 from filtering.errors import VaporTrackError
 from filtering.estimate import Estimate
 from filtering.hypotheses import without_correlation
 from filtering.measurement_noise import MeasurementNoise
 from filtering.motion import Odometry
+from filtering.observation import Observation, View
 from filtering.posterior import ObservationModel, PosePosterior
 from filtering.se3 import Poses
 from filtering.step import describe, hypotheses_of, initialize, step
-
-_ONLY = "camera"
 
 
 class ParticleLocalizer:
@@ -101,13 +99,17 @@ class ParticleLocalizer:
             VaporTrackError: the odometry is invalid (`require_odometry`), the elapsed time is negative, two views are
                 of one camera, or no posterior has any place at a first step. The localizer is then as it was before.
         """
-        views = [View(seen, Poses.identity(), _ONLY)] if isinstance(seen, PosePosterior) else list(seen)
-        names = [view.camera for view in views]
-        if len(set(names)) < len(names):
-            raise VaporTrackError(f"views of cameras {', '.join(names)}, expected each once")
-        if not 0.0 <= elapsed_s < np.inf:
-            raise VaporTrackError(f"{elapsed_s} s since the previous step, expected a finite time of 0 s or more")
-        self.belief, estimate = step(self.belief, views, odom, elapsed_s, self.config)
+        if isinstance(seen, PosePosterior):
+            return self.advance(Observation.of_image(seen, odom, elapsed_s))
+        return self.advance(Observation(tuple(seen), odom, elapsed_s))
+
+    def advance(self, observation: Observation) -> Estimate:
+        """Localize one moment by all that was observed; `update` with its arguments in one.
+
+        Raises:
+            VaporTrackError: as `update`; the localizer is then as it was before.
+        """
+        self.belief, estimate = step(self.belief, observation, self.config)
         return estimate
 
     def predict(self, odom: Odometry | None, *, elapsed_s: float = 0.0) -> Estimate:
@@ -130,7 +132,7 @@ class ParticleLocalizer:
     def _later(self, odom: Odometry | None, elapsed_s: float) -> tuple[Belief, Estimate]:
         if self.belief.hypotheses is None:
             raise VaporTrackError("nothing to predict from: no image was localized yet")
-        return step(self.belief, [], odom, elapsed_s, self.config)
+        return step(self.belief, Observation((), odom, elapsed_s), self.config)
 
     def forget(self) -> None:
         """Forget where the camera is: the next informative image is a first one."""
@@ -151,8 +153,7 @@ class ParticleLocalizer:
         """
         pose = Poses.stack([world_from_camera])
         stated = PosePosterior(pose, np.asarray(covariance, np.float64)[None], np.ones(1), errors, pose)
-        view = View(stated, Poses.identity(), _ONLY)
-        begun = initialize(self.belief.forgotten(), [view], self.config)
+        begun = initialize(self.belief.forgotten(), Observation.of_image(stated, None).views, self.config)
         hypotheses = hypotheses_of(begun)
         # The error of the stated pose is not correlated with those of the images.
         apart = replace(hypotheses, covariance=without_correlation(hypotheses.covariance, 0))

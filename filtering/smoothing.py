@@ -128,7 +128,7 @@ def smooth(
     return Poses.concatenate(parts)
 
 
-def agreement(
+def trajectory_agreement(
     trajectory: Poses,
     times_ns: Int64[np.ndarray, " n"],
     image_modes: Sequence[tuple[Mode, ...]],

@@ -14,7 +14,7 @@ import numpy as np
 from filtering.association import Correlation, correct, evidence, gate
 from filtering.belief import Belief
 from filtering.births import BIRTHS
-from filtering.cameras import CameraMemory, View
+from filtering.cameras import CameraMemory
 from filtering.config import LocalizerConfig
 from filtering.errors import VaporTrackError
 from filtering.estimate import Estimate, Mode, Status, describe_modes
@@ -22,6 +22,7 @@ from filtering.hypotheses import Hypotheses, birth, concatenate, with_source
 from filtering.measurement_noise import MeasurementNoise
 from filtering.mixture_reduction import reduce_mixture
 from filtering.motion import Odometry, require_odometry
+from filtering.observation import Observation, View
 from filtering.posterior import PosePosterior
 from filtering.prediction import inflate
 from filtering.prediction import predict as predict_hypotheses
@@ -31,22 +32,14 @@ from filtering.unchecked import unchecked_replace
 _USUAL_S = 10.0  # time over which the usual agreement is averaged
 
 
-def step(
-    belief: Belief, views: Sequence[View], odometry: Odometry | None, elapsed_s: float, config: LocalizerConfig
-) -> tuple[Belief, Estimate]:
+def step(belief: Belief, observation: Observation, config: LocalizerConfig) -> tuple[Belief, Estimate]:
     """The belief one step later, and its estimate.
-
-    Args:
-        belief: Before the step.
-        views: Of the cameras now; empty without an image.
-        odometry: Motion of the reference frame since the last step; None where it is unknown.
-        elapsed_s: Seconds since the last step; used where `odometry` is None.
-        config: Settings of the filter.
 
     Raises:
         VaporTrackError: the odometry is invalid (`require_odometry`), or no view has any place at a first step.
     """
-    belief = predict(belief, odometry, elapsed_s, config)
+    views = observation.views
+    belief = predict(belief, observation.odometry, observation.elapsed_s, config)
     informative, novelty = [view for view in views if not view.posterior.is_uninformative], 0.0
     if needs_initialization(belief, views):
         belief = initialize(belief, views, config)
@@ -66,7 +59,7 @@ def step(
 
 
 def predict(belief: Belief, odometry: Odometry | None, elapsed_s: float, config: LocalizerConfig) -> Belief:
-    """Move the belief by odometry, or across a gap without any; see `step`."""
+    """Move the belief by odometry, or across a gap of `elapsed_s` seconds without any."""
     hypotheses, gap, provisional, agreement = belief.hypotheses, config.gap, belief.provisional, belief.agreement
     if hypotheses is None:
         return belief

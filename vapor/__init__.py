@@ -7,7 +7,6 @@ Names in `__all__` are public: their meaning changes only with a line in CHANGEL
 # Nothing is imported here: the command starts by this file, and takes the signals before it imports anything.
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from filtering.cameras import View as View
     from filtering.config import LocalizerConfig as LocalizerConfig
     from filtering.errors import VaporTrackError as VaporTrackError
     from filtering.estimate import Estimate as Estimate
@@ -15,6 +14,7 @@ if TYPE_CHECKING:
     from filtering.localizer import ParticleLocalizer as ParticleLocalizer
     from filtering.measurement_noise import MeasurementNoise as MeasurementNoise
     from filtering.motion import Odometry as Odometry
+    from filtering.observation import View as View
     from filtering.posterior import ObservationModel as ObservationModel
     from filtering.posterior import PosePosterior as PosePosterior
     from filtering.se3 import Poses as Poses

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 
-from filtering.cameras import View
 from filtering.config import LocalizerConfig
 from filtering.hypotheses import BIAS, POSE, correlated_error
 from filtering.localizer import ParticleLocalizer
 from filtering.measurement_noise import MeasurementNoise
 from filtering.motion import Odometry, OdometryBias
+from filtering.observation import View
 from filtering.se3 import Poses
 from tests.helpers.simulation import seen_at
 

@@ -138,7 +138,7 @@ def test_bad_odometry_is_refused_and_changes_nothing():
         if bad:
             with pytest.raises(VaporTrackError, match="not finite"):
                 kalman.update(path.posteriors[10], Odometry(Poses.identity(), np.full((6, 6), np.nan), 0.1))
-            with pytest.raises(VaporTrackError, match="expected a finite duration"):
+            with pytest.raises(VaporTrackError, match="expected a finite time"):
                 kalman.update(path.posteriors[10], None, elapsed_s=-1.0)
         poses.append(follow(kalman, path.posteriors[10:], path.odometry[10:])[0])
     np.testing.assert_array_equal(poses[0].translation, poses[1].translation)

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from filtering.cameras import View
 from filtering.errors import VaporTrackError
 from filtering.localizer import ParticleLocalizer
+from filtering.observation import View
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from tests.helpers.simulation import (

@@ -10,7 +10,7 @@ from filtering.errors import VaporTrackError
 from filtering.estimate import posterior_modes
 from filtering.localizer import ParticleLocalizer
 from filtering.se3 import Poses
-from filtering.smoothing import SmoothingConfig, agreement, independence, smooth
+from filtering.smoothing import SmoothingConfig, independence, smooth, trajectory_agreement
 from tests.helpers.full import some
 from tests.helpers.modelled_walk import BIAS, ERRORS, walk
 
@@ -155,14 +155,14 @@ def at(count):
 def test_poses_that_odometry_pulled_away_from_their_images_do_not_agree_with_them():
     path = walk(120, rng=np.random.default_rng(3), lifts=lambda i: (0.0, 3.0, 6.0) if i % 40 else (0.0,), speed_m=0.08)
     modes = [posterior_modes(posterior) for posterior in path.posteriors]
-    assert agreement(path.truth, at(120), modes, ERRORS).min() > 0.8
+    assert trajectory_agreement(path.truth, at(120), modes, ERRORS).min() > 0.8
     for i in range(50, 80):
         path.odometry[i] = replace(
             path.odometry[i], previous_from_current=Poses.identity(), covariance=1e-8 * np.eye(6)
         )
     smoothed = filtered_and_smoothed(path)[1]
     off_m = smoothed.distance(path.truth)[0]
-    trusted = agreement(smoothed, at(120), modes, ERRORS) >= 0.7
+    trusted = trajectory_agreement(smoothed, at(120), modes, ERRORS) >= 0.7
     assert (off_m > 0.5).sum() > 10
     assert not trusted[off_m > 0.5].any()
     assert trusted[off_m < 0.15].mean() > 0.9
@@ -171,25 +171,25 @@ def test_poses_that_odometry_pulled_away_from_their_images_do_not_agree_with_the
 def test_one_place_among_many_alike_agrees_also_where_its_mode_was_left_out():
     path = walk(30, rng=np.random.default_rng(4), lifts=lambda i: tuple(3.0 * k for k in range(15)))
     modes = [posterior_modes(posterior) for posterior in path.posteriors]
-    assert agreement(path.truth, at(30), modes, ERRORS).min() > 0.7
-    assert agreement(path.truth, at(30), [each[-6:] for each in modes], ERRORS).min() > 0.7
+    assert trajectory_agreement(path.truth, at(30), modes, ERRORS).min() > 0.7
+    assert trajectory_agreement(path.truth, at(30), [each[-6:] for each in modes], ERRORS).min() > 0.7
     aside = Poses(path.truth.rotation, path.truth.translation + np.array([0.0, 0.0, 1.5]))
-    assert agreement(aside, at(30), modes, ERRORS).max() < 0.1
+    assert trajectory_agreement(aside, at(30), modes, ERRORS).max() < 0.1
 
 
 def test_a_pose_far_outside_of_the_map_fits_no_image_whatever_modes_were_left_out():
     path = walk(30, rng=np.random.default_rng(4), lifts=lambda i: tuple(3.0 * k for k in range(15)))
     told = [posterior_modes(posterior)[-6:] for posterior in path.posteriors]
     away = Poses(path.truth.rotation, path.truth.translation + np.array([36590.0, 124135.0, -19294.0]))
-    assert agreement(away, at(30), told, ERRORS).max() < 0.01
+    assert trajectory_agreement(away, at(30), told, ERRORS).max() < 0.01
 
 
 def test_images_that_say_nothing_leave_the_word_to_those_about_them():
     path = walk(30, rng=np.random.default_rng(5))
     modes = [posterior_modes(posterior) if i < 10 else () for i, posterior in enumerate(path.posteriors)]
-    found = agreement(path.truth, at(30), modes, ERRORS)
+    found = trajectory_agreement(path.truth, at(30), modes, ERRORS)
     assert found[:15].min() > 0.8
     assert found[15:].max() == 0.0
-    slow = agreement(path.truth, at(30) * 10, modes, ERRORS)  # an image a second
+    slow = trajectory_agreement(path.truth, at(30) * 10, modes, ERRORS)  # an image a second
     np.testing.assert_allclose(slow, found)
-    assert agreement(path.truth, at(30) // 10, modes, ERRORS)[15:30].min() > 0.8  # a hundred images a second
+    assert trajectory_agreement(path.truth, at(30) // 10, modes, ERRORS)[15:30].min() > 0.8  # a hundred images a second

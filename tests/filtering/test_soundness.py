@@ -16,7 +16,7 @@ from filtering.moments import require_sound, settle
 from filtering.motion import MotionNoise, Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
-from filtering.smoothing import agreement, smooth
+from filtering.smoothing import smooth, trajectory_agreement
 from tests.helpers.simulation import ERRORS, lifted, seen_at
 from vapor.tracking.methods import gaussian_sum
 
@@ -97,7 +97,7 @@ def test_whatever_odometry_says_poses_are_finite_and_covariances_positive_defini
         sure = np.zeros(len(images), bool)
         smoothed = smooth(modes, motions, np.array(distances), Poses.stack(best), sure, ERRORS)
         assert smoothed.is_finite().all()
-        fits = agreement(smoothed, np.arange(len(images)) * 100_000_000, modes, ERRORS)
+        fits = trajectory_agreement(smoothed, np.arange(len(images)) * 100_000_000, modes, ERRORS)
     assert ((fits >= 0.0) & (fits <= 1.0)).all()
 
 

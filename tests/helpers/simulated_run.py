@@ -4,6 +4,7 @@ import numpy as np
 
 from filtering.estimate import Estimate, Mode
 from filtering.motion import Odometry
+from filtering.observation import Observation
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from sequences.frame import Camera, Frame
@@ -57,7 +58,8 @@ def simulated_steps(count=200, *, seed=0, with_truth=True, with_odometry=True, s
         agreement, ood_score = 1.0 - 0.5 * belief, 0.1 * rng.random()
         estimate = Estimate(modes, status, particles, covariances, log_weights, agreement, 0.1, 0.1, ood_score)
         places = (Mode(single, covariance, 1.0),)
-        yield frame, Step(PosePosterior.uninformative(), estimate, places, (), {}, 20.0 + rng.random())
+        observation = Observation.of_image(PosePosterior.uninformative(), odometry)
+        yield frame, Step(observation, estimate, places, (), {}, 20.0 + rng.random())
 
 
 def simulated_record(count=200, **options) -> RunRecord:

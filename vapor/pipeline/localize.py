@@ -18,8 +18,9 @@ import numpy as np
 from filtering.errors import VaporTrackError
 from filtering.localizer import ParticleLocalizer
 from filtering.measurement_noise import MeasurementNoise
-from filtering.posterior import ObservationModel, PosePosterior
-from filtering.smoothing import agreement
+from filtering.observation import Observation
+from filtering.posterior import ObservationModel
+from filtering.smoothing import trajectory_agreement
 from filtering.storeys import Storeys
 from sequences.estimates.sequence import EstimateSequence
 from sequences.odometry_fit.result import OdometryFit
@@ -28,7 +29,7 @@ from vapor.pipeline.config import FilteringConfig
 from vapor.reporting.record import RunRecord
 from vapor.reporting.rerun_place import Place
 from vapor.reporting.run_outputs import RunOutputs
-from vapor.tracking.loop import Baselines, History, StepLoop
+from vapor.tracking.loop import History, StepLoop, elapsed_s
 from vapor.tracking.methods import poses_at_end, start_baselines
 
 Item = TypeVar("Item")
@@ -99,29 +100,31 @@ def localize(
     if odometry_fit is not None:
         settings = replace(settings, odometry_bias=odometry_fit.odometry_bias)
     localizer = ParticleLocalizer(model, settings, rng=np.random.default_rng(config.seed))
-    loop = StepLoop(localizer)
+    loop = StepLoop(localizer, start_baselines(settings, lambda: np.random.default_rng(config.seed)))
     history = History()
     on_storeys: list[np.ndarray] = []
     verified = 0
 
-    def posteriors(frames: Iterable[Any]) -> Iterator[tuple[Any, PosePosterior, float]]:
+    def observations(frames: Iterable[Any]) -> Iterator[tuple[Any, Observation, float]]:
+        before_ns: int | None = None
         for frame in frames:
-            begin = time.perf_counter()
+            begin, odometry = time.perf_counter(), frame.odometry
             with _about(frame, source):
+                if odometry is not None and odometry_fit is not None:
+                    odometry = odometry_fit.restated(odometry)
                 posterior = localizer.observe(observed(frame))
-            yield frame, posterior, 1e3 * (time.perf_counter() - begin)
+            observation = Observation.of_image(posterior, odometry, elapsed_s(before_ns, frame.time_ns))
+            yield frame, observation, 1e3 * (time.perf_counter() - begin)
+            before_ns = frame.time_ns
 
     # An image is read and seen by the network while the filter has the one before.
-    baselines = Baselines(start_baselines(settings, lambda: np.random.default_rng(config.seed)))
-    with RunOutputs(baselines, directory, recording=config.recording, view=config.view, place=place) as outputs:
-        with ahead(source) as frames, ahead(posteriors(frames)) as observations:
-            for number, (frame, posterior, observe_ms) in enumerate(observations, start=1):
-                if frame.odometry is not None and odometry_fit is not None:
-                    frame = replace(frame, odometry=odometry_fit.restated(frame.odometry))
+    with RunOutputs(directory, recording=config.recording, view=config.view, place=place) as outputs:
+        with ahead(source) as frames, ahead(observations(frames)) as observed_frames:
+            for number, (frame, observation, observe_ms) in enumerate(observed_frames, start=1):
                 with _about(frame, source):
-                    step = loop.step(frame.time_ns, posterior, frame.odometry, observe_ms=observe_ms)
-                history.add(step, frame.odometry)
-                verified += len(posterior.sources[1]) > 0
+                    step = loop.step(observation, observe_ms=observe_ms)
+                history.add(step)
+                verified += observation.posterior.has_verified
                 if storeys is not None:
                     on_storeys.append(storeys.belief(step.estimate))
                 outputs.add(frame, step)
@@ -138,8 +141,8 @@ def localize(
         record,
         storeys=storeys,
         storey_belief=None if storeys is None else np.stack(on_storeys),
-        verified=None if errors.verified is None else verified,
-        smoothed_agreement=agreement(at_end["smoothed"], record.times_ns, history.evidence, errors),
+        num_verified=None if errors.verified is None else verified,
+        smoothed_agreement=trajectory_agreement(at_end["smoothed"], record.times_ns, history.evidence, errors),
     )
 
 

@@ -165,7 +165,7 @@ class RunRecord:
         peak_rss_mb: Peak resident memory of the process, MiB; None if not measured.
         storeys: Of the building; None where there is one only, or it is not known.
         storey_belief: Fraction of the filter's belief on each of the f storeys, (n, f); None without storeys.
-        verified: Number of images in which landmarks verified a place; None without a map of landmarks.
+        num_verified: Number of images in which landmarks verified a place; None without a map of landmarks.
         landmarks: The landmarks in one of these images; None without any.
     """
 
@@ -188,7 +188,7 @@ class RunRecord:
     smoothed_agreement: Float64[np.ndarray, " n"] | None = None
     storeys: Storeys | None = None
     storey_belief: Float64[np.ndarray, "n f"] | None = None
-    verified: int | None = None
+    num_verified: int | None = None
     landmarks: ShownLandmarks | None = None
 
     def with_methods(self, poses: Mapping[str, Poses]) -> RunRecord:

@@ -57,8 +57,8 @@ def build_report(record: RunRecord) -> dict[str, Any]:
         "peak_rss_mb": record.peak_rss_mb,
         "storeys": None,
     }
-    if record.verified is not None:
-        report["verified"] = record.verified / len(record.times_ns)
+    if record.num_verified is not None:
+        report["verified"] = record.num_verified / len(record.times_ns)
     if record.storeys is not None and record.storey_belief is not None:
         report["storeys"] = evaluate_storeys(record.storeys, record.storey_belief, record.methods, record.truth)
     if record.truth is not None:

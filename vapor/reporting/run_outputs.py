@@ -6,7 +6,6 @@ import resource
 import sys
 from collections.abc import Mapping
 from contextlib import ExitStack, suppress
-from dataclasses import replace
 from pathlib import Path
 
 from filtering.errors import VaporTrackError
@@ -18,7 +17,7 @@ from sequences.recordings.estimate_messages import PUBLISHED_PARTICLES, Estimate
 from vapor.reporting.record import RunRecord, RunRecorder
 from vapor.reporting.rerun_place import Place
 from vapor.reporting.rerun_viewer import RerunViewer
-from vapor.tracking.loop import Baselines, Step
+from vapor.tracking.loop import Step
 
 
 class RunOutputs:
@@ -31,10 +30,7 @@ class RunOutputs:
         VaporTrackError: the viewer cannot be started.
     """
 
-    def __init__(
-        self, baselines: Baselines, directory: Path, *, recording: bool, view: bool, place: Place | None = None
-    ) -> None:
-        self._baselines = baselines
+    def __init__(self, directory: Path, *, recording: bool, view: bool, place: Place | None = None) -> None:
         self._recorder = RunRecorder()
         with ExitStack() as block:
             path = directory / "recording.rrd" if recording else None
@@ -52,13 +48,12 @@ class RunOutputs:
         self._block.__exit__(error and type(error), error, None)
 
     def add(self, frame: Frame, step: Step) -> None:
-        """Write and show one image, of which the filter alone has made something so far.
+        """Write and show one image.
 
         Raises:
             SequenceError, VaporTrackError: it, or an earlier step, cannot be written.
         """
         estimate = step.estimate
-        step = replace(step, baselines=self._baselines.step(frame.time_ns, step.posterior, frame.odometry))
         self._recorder.add(frame, step)
         modes = [(mode.world_from_camera, mode.covariance, mode.weight) for mode in estimate.modes]
         try:
@@ -66,7 +61,7 @@ class RunOutputs:
         except OSError as error:
             raise SequenceError(f"{self._writer.path}: cannot write: {error.strerror or error}") from error
         if self._viewer is not None:
-            self._viewer.log(frame, estimate, step.posterior.samples)
+            self._viewer.log(frame, estimate, step.observation.posterior.samples)
 
     def record(
         self, *, skipped: Mapping[str, int], images: ImageCounts, at_end: Mapping[str, Poses] | None = None

@@ -12,8 +12,8 @@ from filtering.config import LocalizerConfig
 from filtering.estimate import Estimate
 from filtering.localizer import ParticleLocalizer
 from filtering.measurement_noise import MeasurementNoise
-from filtering.motion import Odometry, OdometryBias
-from filtering.posterior import PosePosterior
+from filtering.motion import OdometryBias
+from filtering.observation import Observation
 from vapor.tracking.loop import Localizer
 
 
@@ -45,11 +45,11 @@ class _KnownKidnap:
         self._localizer = begin()
         self._images = 0
 
-    def update(self, posterior: PosePosterior, odometry: Odometry | None, /, *, elapsed_s: float) -> Estimate:
+    def advance(self, observation: Observation) -> Estimate:
         if self._images == self._kidnap_index:
-            self._localizer, odometry = self._begin(), None
+            self._localizer, observation = self._begin(), replace(observation, odometry=None)
         self._images += 1
-        return self._localizer.update(posterior, odometry, elapsed_s=elapsed_s)
+        return self._localizer.advance(observation)
 
 
 def _independent(errors: MeasurementNoise) -> MeasurementNoise:

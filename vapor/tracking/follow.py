@@ -14,11 +14,12 @@ from filtering.config import LocalizerConfig
 from filtering.estimate import Estimate, Mode
 from filtering.measurement_noise import MeasurementNoise
 from filtering.motion import Odometry
+from filtering.observation import Observation
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from sequences.odometry_fit.result import OdometryFit
 from vapor.tracking.ablations import ABLATIONS, Ablation
-from vapor.tracking.loop import Belief, History, StepLoop, mode_status
+from vapor.tracking.loop import Belief, History, StepLoop, elapsed_s, mode_status
 from vapor.tracking.methods import BASELINES, poses_at_end, start_baselines
 
 
@@ -137,11 +138,14 @@ def follow(
     image_modes: list[tuple[Mode, ...]] = []
     of_baselines: dict[str, list[tuple[Mode, ...]]] = {}
     step_ms: list[float] = []
-    for i, (time_ns, odometry) in enumerate(zip(segment.times_ns.tolist(), segment.odometry, strict=True)):
+    times_ns = segment.times_ns.tolist()
+    for i, (before_ns, time_ns, odometry) in enumerate(
+        zip([None, *times_ns[:-1]], times_ns, segment.odometry, strict=True)
+    ):
         begin = time.perf_counter()
-        posterior = segment.posterior(i)
-        step = loop.step(time_ns, posterior, odometry, observe_ms=1e3 * (time.perf_counter() - begin))
-        history.add(step, odometry)
+        observation = Observation.of_image(segment.posterior(i), odometry, elapsed_s(before_ns, time_ns))
+        step = loop.step(observation, observe_ms=1e3 * (time.perf_counter() - begin))
+        history.add(step)
         estimates.append(step.estimate)
         image_modes.append(step.image_modes)
         for name, modes in step.baselines.items():

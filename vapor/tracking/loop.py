@@ -1,4 +1,4 @@
-"""The step loop: posterior and odometry of each image go to the filter and to every baseline."""
+"""The step loop: each observation goes to the filter and to every baseline."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Protocol, runtime_checkable
 
 from filtering.estimate import Estimate, Mode, Status, posterior_modes
 from filtering.motion import Odometry
-from filtering.posterior import PosePosterior
+from filtering.observation import Observation
 from filtering.se3 import Poses
 
 MOST_MODES = 16
@@ -21,8 +21,8 @@ MOST_MODES = 16
 class Localizer(Protocol):
     """The filter: `ParticleLocalizer`, or an ablation of it."""
 
-    def update(self, posterior: PosePosterior, odometry: Odometry | None, /, *, elapsed_s: float) -> Estimate:
-        """Localize one image, see `ParticleLocalizer.update`."""
+    def advance(self, observation: Observation, /) -> Estimate:
+        """Localize one moment, see `ParticleLocalizer.advance`."""
         ...
 
 
@@ -30,8 +30,8 @@ class Localizer(Protocol):
 class Tracker(Protocol):
     """A baseline that goes from image to image."""
 
-    def update(self, posterior: PosePosterior, odometry: Odometry | None, /, *, elapsed_s: float) -> Estimate | Mode:
-        """Take one image; odometry is None where unknown, and not used on the first one."""
+    def advance(self, observation: Observation, /) -> Estimate | Mode:
+        """Localize one moment."""
         ...
 
 
@@ -40,7 +40,7 @@ class Step:
     """The results of the methods for one image.
 
     Attributes:
-        posterior: The image's posterior.
+        observation: The image's posterior and the odometry.
         estimate: The filter's estimate.
         image_modes: Places of the image's posterior alone, by falling weight. Where it has none: those of the last
             image with any; before that, the filter's modes.
@@ -49,7 +49,7 @@ class Step:
         step_ms: Wall-clock milliseconds of posterior and filter together, without the baselines.
     """
 
-    posterior: PosePosterior
+    observation: Observation
     estimate: Estimate
     image_modes: tuple[Mode, ...]
     evidence: tuple[Mode, ...]
@@ -57,64 +57,39 @@ class Step:
     step_ms: float
 
 
-class Baselines:
-    """Steps baselines, all with the same posteriors and odometry."""
-
-    def __init__(self, trackers: Mapping[str, Tracker]) -> None:
-        self._trackers, self._clock = trackers, _Clock()
-
-    def step(self, time_ns: int, posterior: PosePosterior, odometry: Odometry | None) -> dict[str, tuple[Mode, ...]]:
-        """Take one image, see `StepLoop.step`; gives hypotheses by the baselines' names, the best one first."""
-        elapsed_s = self._clock.elapsed_s(time_ns)
-        found = {name: each.update(posterior, odometry, elapsed_s=elapsed_s) for name, each in self._trackers.items()}
-        return {name: each.modes if isinstance(each, Estimate) else (each,) for name, each in found.items()}
-
-
-class _Clock:
-    def __init__(self) -> None:
-        self._previous_ns: int | None = None
-
-    def elapsed_s(self, time_ns: int) -> float:
-        elapsed_s = 0.0 if self._previous_ns is None else max(time_ns - self._previous_ns, 0) * 1e-9
-        self._previous_ns = time_ns
-        return elapsed_s
-
-
 class StepLoop:
-    """Steps the filter and its baselines (`start_baselines`), all with the same posteriors and odometry."""
+    """Steps the filter and its baselines (`start_baselines`), all with the same observations."""
 
     def __init__(self, localizer: Localizer, baselines: Mapping[str, Tracker] = MappingProxyType({})) -> None:
-        self._localizer = localizer
-        self._baselines, self._clock = Baselines(baselines), _Clock()
+        self._localizer, self._baselines = localizer, baselines
         self._image_modes: tuple[Mode, ...] = ()
 
-    def step(
-        self,
-        time_ns: int,
-        posterior: PosePosterior,
-        odometry: Odometry | None,
-        *,
-        observe_ms: float,
-    ) -> Step:
-        """Take one image, whose posterior took `observe_ms` milliseconds; odometry is None where unknown.
+    def step(self, observation: Observation, *, observe_ms: float) -> Step:
+        """Take one moment, whose posterior took `observe_ms` milliseconds.
 
         Raises:
             VaporTrackError: unusable posterior or odometry.
         """
-        elapsed_s = self._clock.elapsed_s(time_ns)
         begin = time.perf_counter()
-        estimate = self._localizer.update(posterior, odometry, elapsed_s=elapsed_s)
+        estimate = self._localizer.advance(observation)
         step_ms = observe_ms + 1e3 * (time.perf_counter() - begin)
+        posterior = observation.posterior
         places = posterior_modes(posterior)
         self._image_modes = places or self._image_modes or estimate.modes
+        followed = {name: each.advance(observation) for name, each in self._baselines.items()}
         return Step(
-            posterior,
+            observation,
             estimate,
             self._image_modes,
             () if posterior.is_uninformative else places,
-            self._baselines.step(time_ns, posterior, odometry),
+            {name: each.modes if isinstance(each, Estimate) else (each,) for name, each in followed.items()},
             step_ms,
         )
+
+
+def elapsed_s(previous_ns: int | None, time_ns: int) -> float:
+    """Seconds between the stamps of two images; 0 before the first, and where the clock went back."""
+    return 0.0 if previous_ns is None else max(time_ns - previous_ns, 0) * 1e-9
 
 
 @dataclass(frozen=True)
@@ -146,10 +121,10 @@ class History:
     filtered: list[Poses] = field(default_factory=list)
     converged: list[bool] = field(default_factory=list)
 
-    def add(self, step: Step, odometry: Odometry | None) -> None:
+    def add(self, step: Step) -> None:
         """Append one image."""
         self.evidence.append(step.evidence[:MOST_MODES])
-        self.odometry.append(odometry)
+        self.odometry.append(step.observation.odometry)
         self.normalized_distances.append(step.estimate.normalized_distance)
         self.filtered.append(step.estimate.modes[0].world_from_camera)
         self.converged.append(step.estimate.status == "converged")

@@ -173,19 +173,19 @@ def test_a_run_of_a_standing_camera_is_as_long_as_it_stands(tiny_model, tmp_path
             assert each["cue_images"] >= 10
 
 
-def test_only_a_filter_that_is_told_of_a_kidnap_starts_anew_there(folder, tiny_model, monkeypatch):
-    anew, update = [], ParticleLocalizer.update
+def test_only_the_filter_with_a_known_kidnap_restarts_there(folder, tiny_model, monkeypatch):
+    restarts, advance = [], ParticleLocalizer.advance
 
-    def watched(localizer, posterior, odometry, **timing):
-        if localizer.config.resampling == "optimal":  # the Gaussian sum is told nothing
-            anew.append(odometry is None)
-        return update(localizer, posterior, odometry, **timing)
+    def watched(localizer, observation):
+        if localizer.config.resampling == "optimal":  # the Gaussian sum never restarts
+            restarts.append(observation.odometry is None)
+        return advance(localizer, observation)
 
-    monkeypatch.setattr(ParticleLocalizer, "update", watched)
+    monkeypatch.setattr(ParticleLocalizer, "advance", watched)
     monkeypatch.setattr(setup, "results_code", lambda: "watched")
     assert run(folder, tiny_model, "--kinds", "kidnap", "--ablations", "full", "known-kidnap") == 0
-    assert len(anew) == 100  # two runs of 50 images, of which the last third is elsewhere
-    assert [i for i, told in enumerate(anew) if told] == [50 + 33]
+    assert len(restarts) == 100  # two runs of 50 images, of which the last third is elsewhere
+    assert [i for i, restarted in enumerate(restarts) if restarted] == [50 + 33]
 
 
 def test_the_filter_that_was_changed_is_run_again(folder, tiny_model, calls, monkeypatch):

@@ -3,26 +3,23 @@
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from filtering.config import LocalizerConfig
 from filtering.errors import VaporTrackError
 from tests.helpers.simulated_run import simulated_steps
-from tests.helpers.simulation import seen_at
 from vapor.reporting.run_outputs import RunOutputs
-from vapor.tracking.loop import Baselines
-from vapor.tracking.methods import start_baselines
 
 
 @pytest.fixture(scope="module")
 def steps():
-    return [(frame, replace(step, posterior=seen_at(frame.world_from_camera))) for frame, step in simulated_steps(12)]
+    return [
+        (frame, replace(step, baselines={"kalman": step.image_modes, "gaussian_sum": step.image_modes}))
+        for frame, step in simulated_steps(12)
+    ]
 
 
 def outputs_into(directory: Path) -> RunOutputs:
-    baselines = Baselines(start_baselines(LocalizerConfig(), lambda: np.random.default_rng(0)))
-    return RunOutputs(baselines, directory, recording=True, view=False)
+    return RunOutputs(directory, recording=True, view=False)
 
 
 def test_an_error_of_the_loop_leaves_nothing(tmp_path, steps):

@@ -6,10 +6,11 @@ import pytest
 from filtering.config import LocalizerConfig
 from filtering.estimate import Mode
 from filtering.localizer import ParticleLocalizer
+from filtering.observation import Observation
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from tests.helpers.simulation import lifted, motion, seen_at
-from vapor.tracking.loop import MOST_MODES, History, Localizer, StepLoop, Tracker
+from vapor.tracking.loop import MOST_MODES, History, Localizer, StepLoop, Tracker, elapsed_s
 from vapor.tracking.methods import BASELINES, METHODS, in_order, poses_at_end, start_baselines
 
 ONWARD = motion(0.1, 0, 0, 0, 0, 0)
@@ -22,8 +23,8 @@ class Noting:
     def __init__(self):
         self.given = []
 
-    def update(self, posterior, odometry, *, elapsed_s):
-        self.given.append((posterior, odometry, elapsed_s))
+    def advance(self, observation):
+        self.given.append(observation)
         return Mode(Poses.identity(), np.eye(6), 1.0)
 
 
@@ -51,23 +52,31 @@ def test_all_methods_are_given_the_same_and_told_how_long_it_was():
     one, other = Noting(), Noting()
     loop = loop_of(one=one, other=other)
     posteriors = [seen_at(Poses.exp(np.array([0.1 * i, 0, 0, 0, 0, 0]))) for i in range(3)]
-    for time_ns, posterior, odometry in zip((5 * S, 6 * S, 4 * S), posteriors, (None, ONWARD, None), strict=True):
-        step = loop.step(time_ns, posterior, odometry, observe_ms=0.0)
-        assert step.posterior is posterior
+    observations = [
+        Observation.of_image(posterior, odometry, elapsed_s(*stamps))
+        for stamps, posterior, odometry in zip(
+            ((None, 5 * S), (5 * S, 6 * S), (6 * S, 4 * S)), posteriors, (None, ONWARD, None), strict=True
+        )
+    ]
+    for observation in observations:
+        step = loop.step(observation, observe_ms=0.0)
+        assert step.observation is observation
         assert step.baselines.keys() == {"one", "other"}
         assert step.step_ms > 0
-    assert [given[1:] for given in one.given] == [(None, 0.0), (ONWARD, 1.0), (None, 0.0)]
-    assert all(mine[0] is theirs[0] for mine, theirs in zip(one.given, other.given, strict=True))
+    assert one.given == other.given == observations
+    assert [given.elapsed_s for given in one.given] == [0.0, 1.0, 0.0]
 
 
 def test_where_an_image_is_uninformative_its_places_are_those_of_the_last_one_that_did():
     loop = loop_of()
-    seen = loop.step(0, seen_at(lifted(Poses.identity(), [0.0, 3.0]), [0.6, 0.4]), None, observe_ms=0.0)
+    alike = seen_at(lifted(Poses.identity(), [0.0, 3.0]), [0.6, 0.4])
+    seen = loop.step(Observation.of_image(alike, None), observe_ms=0.0)
     assert [mode.weight for mode in seen.image_modes] == [0.6, 0.4]
     assert seen.evidence == seen.image_modes
-    empty = loop.step(S, PosePosterior.uninformative(), ONWARD, observe_ms=0.0)
+    empty = loop.step(Observation.of_image(PosePosterior.uninformative(), ONWARD), observe_ms=0.0)
     assert (empty.image_modes, empty.evidence) == (seen.image_modes, ())
-    unlike = loop.step(2 * S, seen_at(Poses.identity(), ood_score=3.0), ONWARD, observe_ms=0.0)
+    outside = seen_at(Poses.identity(), ood_score=3.0)
+    unlike = loop.step(Observation.of_image(outside, ONWARD), observe_ms=0.0)
     assert len(unlike.image_modes) == 1
     assert unlike.evidence == ()
 
@@ -77,8 +86,7 @@ def test_a_history_has_what_methods_at_the_end_need():
     loop, history, config = loop_of(), History(), LocalizerConfig()
     many = seen_at(lifted(Poses.identity(), np.arange(20.0)), np.full(20, 0.05))
     for i in range(4):
-        step = loop.step(i * S, many, ONWARD if i else None, observe_ms=0.0)
-        history.add(step, ONWARD if i else None)
+        history.add(loop.step(Observation.of_image(many, ONWARD if i else None), observe_ms=0.0))
     assert [len(modes) for modes in history.evidence] == [MOST_MODES] * 4
     assert history.odometry == [None, ONWARD, ONWARD, ONWARD]
     assert len(history.normalized_distances) == len(history.converged) == len(history.filtered) == 4

@@ -132,8 +132,8 @@ def _sections(record: RunRecord, report: Mapping[str, Any], settings: Mapping[st
         sections.append(section("Errors", [table(columns, rows, caption, ours)]))
         over_time.append(errors)
     sections.append(section("Over time", [*over_time, belief_plot(record)]))
-    if record.verified is not None:
-        sections.append(section("Landmarks", _landmarks(record, record.verified)))
+    if record.num_verified is not None:
+        sections.append(section("Landmarks", _landmarks(record, record.num_verified)))
     if (trust := _trust(report)) is not None:
         sections.append(section("Calibration of the uncertainty", trust))
     if report.get("storeys") is not None:
