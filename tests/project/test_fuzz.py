@@ -160,7 +160,9 @@ def test_exported_models_are_damaged_under_digests_and_checksums_that_fit(tmp_pa
 
 
 def test_what_once_failed_fails_no_more() -> None:
-    for name, verdict in cases.replay():
+    replayed = [*cases.replay()]
+    assert replayed
+    for name, verdict in replayed:
         assert verdict.outcome != "failure", f"{name}: {verdict.cause}: {verdict.details}: {verdict.damage}"
 
 
