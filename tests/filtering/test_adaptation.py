@@ -7,10 +7,10 @@ import pytest
 from scipy.stats import chi2
 
 from filtering.adaptation import ErrorScale
-from filtering.config import GapConfig, LocalizerConfig
+from filtering.cameras import Source
+from filtering.config import LocalizerConfig
 from filtering.kalman import KalmanConfig, KalmanLocalizer
 from filtering.localizer import ParticleLocalizer
-from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from tests.helpers.modelled_walk import (
     AHEAD,
@@ -246,15 +246,13 @@ def test_regions_grow_with_the_errors_and_hold_the_truth_more_often(localize, mo
 
 
 def test_a_gap_forgets_the_place_compared_with_and_keeps_what_was_found():
-    path = understated(simulated(0), 4.0)
-    gap = GapConfig(speed_m_per_s=0.0, turn_rad_per_s=0.0)
-    localizer = ParticleLocalizer(None, replace(NEVER_CARRIED_OFF, gap=gap), rng=np.random.default_rng(0))
-    for posterior, odometry in zip(path.posteriors, path.odometry, strict=True):
-        estimate = localizer.update(posterior, odometry)
-    nothing = PosePosterior.uninformative(path.posteriors[0].errors)
-    after = localizer.update(nothing, None, elapsed_s=0.0)
-    np.testing.assert_allclose(after.covariances, estimate.covariances, rtol=1e-9)
-    scale = scale_along(path)
-    forgotten = observed(replace(scale, place=None).predict(AHEAD, APART), path.posteriors[0])
-    assert (forgotten.total, forgotten.count) == (scale.total, scale.count)
-    assert forgotten.place.translation == pytest.approx(path.posteriors[0].means.translation[0])
+    onward = motion(1.0, 0, 0, 0, 0, 0, std=np.zeros(6))  # two lengths
+    source = Source.first_seen(ERRORS, 0, unknown=0.0, adapts=True).observe(seen_at(THERE))
+    there = seen_at(THERE @ onward.previous_from_current @ Poses.exp(np.array([0.5, 0, 0, 0, 0, 0])))
+    source = source.predict(onward, onward)[0].observe(there)
+    assert source.scale.factor > 1.0
+    after, _ = source.across_gap(0.1, 0.1)
+    again = seen_at(there.means @ onward.previous_from_current)
+    compared, kept = (each.predict(onward, onward)[0].observe(again).scale for each in (source, after))
+    assert compared.count > source.scale.count
+    assert (kept.count, kept.factor) == (source.scale.count, source.scale.factor)
