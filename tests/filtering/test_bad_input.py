@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import fields, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -157,21 +158,13 @@ def test_a_first_posterior_whose_shares_are_all_zero_begins_with_its_places():
 # --- a step that raises -----------------------------------------------------------------------------
 
 
-class Refusing:
-    """A model that has drawn before it refuses an image, and the model that it stands for."""
-
-    def __init__(self, model):
-        self.model = model
-
-    def observe(self, image, *, rng):
+def test_an_image_that_the_model_refuses_leaves_the_localizer_as_it_was():
+    def refuse(image, *, rng):
         rng.standard_normal(17)
         raise VaporTrackError("no image of this camera")
 
-
-def test_an_image_that_the_model_refuses_leaves_the_localizer_as_it_was():
     (localizer, _, walked), (untouched, _, _) = walking(6), walking(6)
-    good = localizer.model
-    localizer.model = Refusing(good)
+    good, localizer.model = localizer.model, SimpleNamespace(observe=refuse)
     with pytest.raises(VaporTrackError, match="no image of this camera"):
         localizer.step(image_of(3), walked[3])
     localizer.model = good

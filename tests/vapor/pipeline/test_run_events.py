@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from filtering.posterior import ObservationModel
 from filtering.se3 import Poses
 from sequences.reader import SequenceReader
 from sequences.reading.counts import IN_GAP
@@ -24,31 +23,26 @@ from vapor.reporting.record import RunRecord
 class Storeys:
     """Says where the camera is, and from some image on the same a storey higher as well: one image after the other."""
 
-    def __init__(self, truth: Poses, *, alone: int, out_of_distribution: range = range(0)) -> None:
-        self.truth, self.alone, self.out_of_distribution = truth, alone, out_of_distribution
-        self.count = -1
+    def __init__(self, sequence: Path, alone: int) -> None:
+        self.truth = Poses.stack([frame.world_from_camera for frame in SequenceReader(sequence)])
+        self.alone, self.count = alone, -1
 
     def observe(self, image, *, rng):
         self.count += 1
         storeys = [0.0] if self.count < self.alone else [0.0, 6.0]
-        share = 1.0 / len(storeys)
-        ood_score = 3.0 if self.count in self.out_of_distribution else 0.2
-        return seen_at(lifted(self.truth[self.count], storeys), [share] * len(storeys), ood_score=ood_score)
+        return seen_at(lifted(self.truth[self.count], storeys), [1.0 / len(storeys)] * len(storeys), ood_score=0.2)
 
 
-def storeys_of(sequence: Path, **options) -> Storeys:
-    return Storeys(Poses.stack([frame.world_from_camera for frame in SequenceReader(sequence)]), **options)
-
-
-def follow(sequence: Path, directory: Path, model: ObservationModel) -> RunRecord:
+def follow(sequence: Path, directory: Path, *, alone: int) -> RunRecord:
     directory.mkdir()
-    return localize(SequenceReader(sequence), model, directory, FilteringConfig(recording=False), ERRORS)
+    reader, model = SequenceReader(sequence), Storeys(sequence, alone)
+    return localize(reader, model, directory, FilteringConfig(recording=False), ERRORS)
 
 
 def test_a_gap_in_the_odometry_widens_the_belief_but_does_not_forget_it(walk_of_25, tmp_path):
     begins, ends = BEGIN_NS + 1_020_000_000, BEGIN_NS + 1_780_000_000
     gappy = rewrite(walk_of_25, tmp_path / "g.mcap", keep=lambda topic, t: topic != "/odom" or not begins < t < ends)
-    record = follow(gappy, tmp_path / "out", storeys_of(gappy, alone=8))
+    record = follow(gappy, tmp_path / "out", alone=8)
     assert record.skipped[IN_GAP] > 3
     (after,) = np.flatnonzero(np.diff(record.times_ns) > 300_000_000) + 1
     assert 8 < after < len(record.times_ns) - 5  # two storeys are possible by then, if the belief began anew
@@ -77,7 +71,7 @@ def test_smoothed_poses_are_doubtful_where_odometry_was_wrong(kind, tmp_path, ca
     if kind != "right":
         walk.odometry = wrong_odometry(kind, walk.odometry, begin, begin + 75)
     sequence = walk.write(tmp_path / "walk.mcap")
-    record = follow(sequence, tmp_path / "out", storeys_of(sequence, alone=60))
+    record = follow(sequence, tmp_path / "out", alone=60)
     off_m = record.methods["smoothed"].poses.distance(record.truth.poses)[0]
     result = write_results(record, tmp_path / "out", {}, title=kind)
     with (tmp_path / "out" / "status.csv").open() as file:
