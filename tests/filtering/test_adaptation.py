@@ -179,9 +179,6 @@ def test_all_errors_that_the_model_states_are_multiplied_and_the_least_follow_wh
     assert nothing.constant_fraction == 1e3  # the most that a model may state
 
 
-# --- variances multiplied -------------------------------------------------------------------------
-
-
 def test_an_inflated_posterior_has_the_same_places_of_larger_errors():
     posterior = seen_at(lifted(Poses.identity(), (0.0, 3.0)), (0.3, 0.7), ood_score=0.4)
     inflated = posterior.inflated(4.0)

@@ -51,9 +51,6 @@ WAYS_TO_STAND = {
 }
 
 
-# --- standing ---------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("how", "shares", "count"),
     [
@@ -71,8 +68,6 @@ def test_any_number_of_images_of_one_view_is_worth_one_image(how, shares, count)
         assert (stds_of(mode) > 0.98 * np.sqrt(ERRORS.correlated_fraction) * STD).all()
     assert sum(estimate.novelty for estimate in estimates[1:]) < 0.05
 
-
-# --- at any rate ------------------------------------------------------------------------------------
 
 STEP_PER_S = np.array([1.0, 0, 0, 0, 0, 0.2])
 WHITE = np.array([0.01] * 3 + [0.005] * 3)  # of odometry, after one second
@@ -119,8 +114,6 @@ def test_a_walk_at_3_10_and_30_images_a_second_gives_the_same_belief(seed):
         assert (np.abs((poses[1].inverse() @ pose).log()) < 1.5 * std).all()
 
 
-# --- what regions hold ------------------------------------------------------------------------------
-
 BIAS = OdometryBias(scale=0.03, drift=(0.01,) * 3 + (0.004,) * 3, time_s=10.0)
 
 
@@ -155,9 +148,6 @@ def test_regions_hold_at_least_what_they_say_with_outliers_and_the_defaults():
         held = (squared < chi2.ppf(probability, 6)).mean()
         assert held > probability - 2 * np.sqrt(probability * (1 - probability) / 60)
     assert squared.mean() > 3.0  # nor are they far too wide
-
-
-# --- one mistake along a corridor -------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("outlier_lengths", "kept"), [(1.0, False), (12.0, True)])

@@ -66,9 +66,6 @@ def test_the_log_of_a_sum_neither_overflows_nor_vanishes():
     assert log_sum(np.full(3, -np.inf)) == -np.inf
 
 
-# --- birth ------------------------------------------------------------------------------------------
-
-
 def test_a_newborn_knows_of_the_odometrys_errors_what_the_heaviest_hypothesis_knows():
     belief = bank(3, weights=[0.2, 0.7, 0.1])
     h = birth(seen_at(Poses.identity(1)), 0, 1, OdometryBias(), belief)

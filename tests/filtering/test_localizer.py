@@ -40,9 +40,6 @@ def localize(seed, num_frames, unique, config=None):
     return estimates, best.distance(truth)[0], truth
 
 
-# --- the story ------------------------------------------------------------------------------------
-
-
 @pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("seed", range(3))
 def test_an_ambiguous_belief_collapses_to_the_truth_once_a_unique_place_is_seen(seed):
@@ -58,9 +55,6 @@ def test_the_same_seed_gives_the_same_bits_and_another_seed_does_not():
     np.testing.assert_array_equal(first.particles.translation, second.particles.translation)
     np.testing.assert_array_equal(first.log_weights, second.log_weights)
     assert not np.array_equal(first.particles.translation[:1], other.particles.translation[:1])
-
-
-# --- the beginning --------------------------------------------------------------------------------
 
 
 @pytest.mark.usefixtures("unchecked")

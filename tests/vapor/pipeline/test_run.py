@@ -261,9 +261,6 @@ def test_true_poses_and_odometry_of_tf_are_used_and_their_jumps_said(tiny_model,
     assert len(read_tum(out / "ground_truth.tum")) == 11
 
 
-# --- what happens on the way ----------------------------------------------------------------------
-
-
 @pytest.mark.usefixtures("unchecked", "plain_results")
 def test_the_noise_of_odometry_is_that_of_the_calibration_unless_it_is_told_not_to(tiny_model, walk_of_25, tmp_path):
     six = (0.01,) * 6

@@ -1,4 +1,4 @@
-"""What happens on the way of a run: gaps, wrong odometry, images of elsewhere, black frames."""
+"""What happens on the way of a run: gaps and wrong odometry."""
 
 import csv
 import itertools
