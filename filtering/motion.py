@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 from jaxtyping import Float64
@@ -141,6 +142,21 @@ def accumulated(
     return (covariance + np.swapaxes(covariance, -1, -2)) / 2
 
 
+class WhiteNoise(Protocol):
+    """A model of the white noise of odometry: `MotionNoise`, or a fitted one."""
+
+    def along(
+        self, tangent: Float64[np.ndarray, "*batch 6"], duration_s: Float64[np.ndarray, "*batch"]
+    ) -> Float64[np.ndarray, "*batch 6"]:
+        """Variances, m² and rad², along motions of constant twist, each axis of the moving frame.
+
+        Args:
+            tangent: ξ = (v, ω) of each motion.
+            duration_s: Seconds it took.
+        """
+        ...
+
+
 @dataclass(frozen=True)
 class MotionNoise:
     """Stated white noise of odometry whose messages carry no covariance (Thrun et al. 2005, §5.4, in three dimensions).
@@ -176,12 +192,7 @@ class MotionNoise:
     def along(
         self, tangent: Float64[np.ndarray, "*batch 6"], duration_s: Float64[np.ndarray, "*batch"]
     ) -> Float64[np.ndarray, "*batch 6"]:
-        """Variances, m² and rad², along motions of constant twist, each axis of the moving frame.
-
-        Args:
-            tangent: ξ = (v, ω) of each motion.
-            duration_s: Seconds it took.
-        """
+        """See `WhiteNoise.along`."""
         moved_m, turned_rad = np.linalg.norm(tangent[..., :3], axis=-1), np.linalg.norm(tangent[..., 3:], axis=-1)
         variance_t = (
             self.translation_per_sqrt_m**2 * moved_m

@@ -29,8 +29,7 @@ _REPLACED, _ADDED = "replaced", "added"
 def atomic_output(path: Path) -> Iterator[Path]:
     """Give a path to write to; it takes the place of `path` on success, and is removed on any error.
 
-    Raises:
-        SequenceError: the folder is missing or cannot be written to, or the path is not one of a file.
+    Raises SequenceError where the folder is missing or cannot be written to, or the path is not one of a file.
     """
     path = Path(path)
     if not path.parent.is_dir():
@@ -47,11 +46,7 @@ def atomic_output(path: Path) -> Iterator[Path]:
 
 
 def followed(path: Path) -> Path:
-    """Where a path leads: itself, or the target of a link.
-
-    Raises:
-        SequenceError: the link leads to nothing.
-    """
+    """Where a path leads: itself, or the target of a link. Raises SequenceError where the link leads to nothing."""
     if path.is_symlink() and not path.exists():
         raise SequenceError(f"{path}: is a link to {os.readlink(path)}, which does not exist, expected it to")
     return path.resolve() if path.is_symlink() else path
@@ -61,10 +56,8 @@ def followed(path: Path) -> Path:
 def workspace(place: Path, name: str) -> Iterator[Path]:
     """A hidden folder in `place` in which `name` is made; it is removed with all that is left in it.
 
-    It is locked meanwhile. So folders of killed processes differ from those in use, and are removed first.
-
-    Raises:
-        OSError: `place` cannot be written to.
+    It is locked meanwhile. So folders of killed processes differ from those in use, and are removed first. Raises
+    OSError where `place` cannot be written to.
     """
     clear_leftovers(place)
     work, lock = _locked_folder(place, name)

@@ -39,8 +39,7 @@ def read_bytes(path: Path, most: int = _MAX_TEXT) -> bytes:
 def read_text(path: Path, most: int = _MAX_TEXT) -> str:
     """Text of a file, without a byte order mark.
 
-    Raises:
-        SequenceError: it cannot be read, is no text, or has more than so many bytes.
+    Raises SequenceError where it cannot be read, is no text, or has more than so many bytes.
     """
     try:
         return read_bytes(path, most).decode("utf-8-sig")
@@ -51,12 +50,8 @@ def read_text(path: Path, most: int = _MAX_TEXT) -> str:
 def read_lines(path: Path, most: int | None = _MAX_TEXT) -> Iterator[tuple[int, str]]:
     """Lines of a text file with their numbers from 1 on, one at a time; a byte order mark before them is skipped.
 
-    Args:
-        path: The file.
-        most: How many bytes it may have; None for any number, where the reader keeps little of it.
-
-    Raises:
-        SequenceError: it cannot be read, is no text, or is too large, or a line of it is.
+    `most` is None for a file of any size, where the reader keeps little of it. Raises SequenceError where the file
+    cannot be read, is no text, or is too large, or a line of it is.
     """
     try:
         with open(path, "rb") as stream:
@@ -103,9 +98,8 @@ def read_json(path: Path) -> Any:
 def parse_json(text: str | bytes, where: str) -> Any:
     """Content of JSON text; NaN and infinity are numbers, as in Python's dialect.
 
-    Raises:
-        SequenceError: it is no JSON, too long or too deeply nested, or has an integer of more than 40 digits. `where`
-            begins the message.
+    Raises SequenceError where it is no JSON, too long or too deeply nested, or has an integer of more than 40 digits.
+    `where` begins the message.
     """
     if len(text) > _MAX_JSON:
         raise SequenceError(f"{where}: more than {_MAX_JSON:,} bytes, expected JSON of fewer")
@@ -140,9 +134,8 @@ _YamlLoader.add_constructor("tag:yaml.org,2002:opencv-matrix", yaml.SafeLoader.c
 def read_yaml(path: Path, most: int = _MAX_YAML) -> dict[Any, Any]:
     """Names and values of a YAML file; of OpenCV's, too.
 
-    Raises:
-        SequenceError: it is none, has more than so many bytes or more than 64 levels, or values that refer to others,
-            by which few lines become millions.
+    Raises SequenceError where it is none, has more than so many bytes or more than 64 levels, or values that refer to
+    others, by which few lines become millions.
     """
     lines = [line for line in read_text(path, most).splitlines() if not line.startswith("%")]  # OpenCV's %YAML:1.0
     text, depth = "\n".join(lines), 0
@@ -193,19 +186,13 @@ class Rows:
     Attributes:
         num_rows: How many were read so far.
         num_unusable: How many of them could not be used.
-        tolerant: Whether any may be left out.
+        tolerant: Whether any may be left out; otherwise the first that cannot be used is an error.
     """
 
     def __init__(
         self, what: str = "rows", reason: Callable[[SequenceError], str] = _unusable, *, tolerant: bool = True
     ) -> None:
-        """Begin to count.
-
-        Args:
-            what: Name of the rows, in the plural.
-            reason: The reason for which an unusable row is counted, from its error.
-            tolerant: Whether any may be left out; otherwise the first that cannot be used is an error.
-        """
+        """Begin to count; `what` names the rows in the plural, `reason` is counted for an error."""
         self.num_rows = self.num_unusable = 0
         self._what, self._reason, self._first = what, reason, ""
         self.tolerant = tolerant
@@ -213,12 +200,15 @@ class Rows:
     def each(self, rows: Iterable[Row]) -> Iterator[Row]:
         """The rows, one after the other.
 
-        Raises:
-            SequenceError: after the last one, more than half of them could not be used; the first one is quoted.
+        Raises SequenceError after the last one where more than half could not be used; the first one is quoted.
         """
         for row in rows:
             self.num_rows += 1
             yield row
+        self.require_few()
+
+    def require_few(self) -> None:
+        """Raise SequenceError where more than half of the rows could not be used."""
         if self.num_unusable > _MOST_UNUSABLE * self.num_rows:
             raise SequenceError(
                 f"{self._first}; {self.num_unusable} of {self.num_rows} {self._what} cannot be used,"
@@ -234,9 +224,13 @@ class Rows:
         except SequenceError as error:
             if not self.tolerant:
                 raise
-            self.num_unusable += 1
-            self._first = self._first or str(error)
+            self.leave_out(str(error))
             return self._reason(error)
+
+    def leave_out(self, problem: str) -> None:
+        """Count one of the rows as unusable."""
+        self.num_unusable += 1
+        self._first = self._first or problem
 
     @property
     def notices(self) -> list[str]:
@@ -247,14 +241,9 @@ class Rows:
 
 
 def require_inside(folder: Path, files: Iterable[object]) -> None:
-    """Check that paths which a data set names, or links in it, lead to nowhere outside of its folder.
+    """Raise SequenceError where a path that a data set names, or a link in it, leads out of its folder, or is no path.
 
-    Args:
-        folder: Where the data set lies; it may be a link itself.
-        files: Paths; anything else, such as an image in an archive, is ignored.
-
-    Raises:
-        SequenceError: one leads out, or is no path.
+    The folder may be a link itself. Anything but paths, such as an image in an archive, is ignored.
     """
     root = os.path.join(os.path.realpath(folder), "")
     real: dict[str, str] = {}

@@ -82,12 +82,10 @@ class SequenceOptions(ReadingOptions):
     ground_truth_frame: str | None = None
     """Take true poses from tf instead: the frame that they are in, such as map."""
     poses: Path | None = None
-    """Take true poses from a file instead: TUM text, EuRoC's data.csv, or KITTI's with a file of times beside it."""
+    """Take true poses from a file instead: TUM text, EuRoC's data.csv, or KITTI's with times.txt beside it."""
     poses_columns: str | None = None
     """Names of the columns of a file of poses in another format, as one word in quotation marks, such as "time tx ty tz
     qw qx qy qz _": name in place of time for frames named by their stamps, _ for ignored columns."""
-    poses_times: Path | None = None
-    """Times of KITTI's poses, seconds, one a line. Default: times.txt beside the poses."""
     time_offset_s: float | Literal["auto"] = 0.0
     """Seconds to add to the stamps of the file of poses; auto finds them by comparing its rotation with odometry's."""
     ground_truth_child_frame: str | None = None
@@ -118,7 +116,7 @@ class SequenceOptions(ReadingOptions):
         """Files beside the sequence that are read, or looked for."""
         if self.poses is None:
             return ()
-        return self.poses, self.poses_times or times_beside(self.poses)
+        return self.poses, times_beside(self.poses)
 
     def _check_true_poses(self) -> None:
         given = [
@@ -128,11 +126,10 @@ class SequenceOptions(ReadingOptions):
         ]
         if len(given) > 1:
             raise SequenceError(f"{' and '.join(given)} all state where true poses are, expected one of them")
-        about = self.time_offset_s != 0.0 or self.poses_times is not None or self.poses_columns is not None
+        about = self.time_offset_s != 0.0 or self.poses_columns is not None
         if self.poses is None and about:
             raise SequenceError(
-                "--time-offset-s, --poses-columns and --poses-times are about a file of poses, expected --poses with"
-                " them"
+                "--time-offset-s and --poses-columns are about a file of poses, expected --poses with them"
             )
         require_columns("--poses-columns", self.poses_columns)
         if self.time_offset_s != "auto" and not abs(self.time_offset_s) <= _MAX_OFFSET_S:

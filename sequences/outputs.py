@@ -55,8 +55,7 @@ class Listed:
 def verify(directory: Path, names: Iterable[str]) -> None:
     """Check files that are to be read against the manifest of their folder, where it has one (else: `UNCHECKED`).
 
-    Raises:
-        SequenceError: a listed file is missing or differs, or the manifest cannot be read.
+    Raises SequenceError where a listed file is missing or differs, or the manifest cannot be read.
     """
     clear_leftovers(directory)
     if not (directory / MANIFEST).exists():
@@ -77,8 +76,7 @@ def verify(directory: Path, names: Iterable[str]) -> None:
 def read_manifest(directory: Path) -> dict[str, Any]:
     """The manifest of a folder, with `Listed` by name as its `files`, None where the folder grows.
 
-    Raises:
-        SequenceError: there is none, or it is none of ours.
+    Raises SequenceError where there is none, or it is none of ours.
     """
     path = directory / MANIFEST
     try:
@@ -132,8 +130,7 @@ def writing(directory: Path) -> Iterator[None]:
 def folder_to_write(directory: Path) -> Path:
     """The folder that an output leads to, absolute; what killed processes left there is cleared away.
 
-    Raises:
-        SequenceError: it is a file, or a link that leads to nothing.
+    Raises SequenceError where it is a file, or a link that leads to nothing.
     """
     folder = followed(directory).absolute()
     if folder.exists() and not folder.is_dir():
@@ -207,22 +204,14 @@ def results_folder(
             write_manifest(new, command, {file.name: Listed.of(file) for file in sorted(new.iterdir())})
             if not is_new:
                 _replace_files(work, writes if overwrite else (), reads)
-            elif not directory.exists():
+            else:
                 os.rename(new, directory)
-            else:  # it was made meanwhile
-                work = stack.enter_context(workspace(directory, directory.name))
-                os.rename(new, work / NEW)
-                _replace_files(work, writes if overwrite else (), reads)
 
 
 def require_replaceable(
     directory: Path, writes: Collection[str], reads: Iterable[Path] = (), *, overwrite: bool = False
 ) -> Path:
-    """Raise where `results_folder` would, but for failing disks.
-
-    Returns:
-        The folder that is meant.
-    """
+    """Raise where `results_folder` would, but for failing disks; returns the folder that is meant."""
     with writing(directory):
         given, directory = directory, folder_to_write(directory)
         reads = list(reads) if directory.exists() else []
@@ -252,7 +241,6 @@ def _refuse_lost(directory: Path, unexpected: Collection[str], reads: Iterable[P
 
 
 def _replace_files(work: Path, names: Collection[str], reads: Iterable[Path]) -> None:
-    """Replace files one by one: those that the earlier manifest lists, and those of some names."""
     directory = work.parent
     manifest = own_manifest(directory)
     before = {} if manifest is None else manifest["files"] or {}
@@ -336,11 +324,11 @@ def refuse_other(
         path: The output.
         kind: Kind of the output, for the message.
         is_of_kind: Whether an existing file is such a thing.
-        reads: Files and folders that the command reads; of no use where the output is new.
-        overwrite: Take any file but those, and but what lies in those folders.
+        reads: Files and folders that the command reads: the output is none of these, nor replaces what lies in them.
+        overwrite: Take any other file.
 
-    Raises:
-        SequenceError: the output exists and is something else, is read, is part of results, or is a link to nothing.
+    Raises SequenceError where the output exists and is something else, is read, is part of results, or is a link to
+    nothing.
     """
     path = followed(path)
     place = path.resolve()

@@ -97,7 +97,6 @@ class SequenceReader:
             "odometry_frame": None,
             "ground_truth_topic": None if r.truth is not None else "",
             "poses": poses.name if poses else None,
-            "poses_times": self._options.poses_times.name if self._options.poses_times else None,
             **(r.tree_odometry.resolved if r.tree_odometry is not None else {}),
             **(r.truth.resolved if r.truth is not None else {}),
             "base_from_camera": [*extrinsics.translation.tolist(), *extrinsics.as_quat_xyzw().tolist()]
@@ -129,8 +128,7 @@ class SequenceReader:
         motion, self._pairing = pairing.motion, pairing
         self.counts, self._skipped_messages = pairing.skipped.counts, pairing.skipped.messages
         self.across_jumps, self.notices = 0, [*self._found_notices, *timeline.notices]
-        beside = {topic: links for topic, links in roles.watched.items() if topic != roles.image.name}
-        streams = MotionStreams(timeline, beside, pairing)
+        streams = MotionStreams(timeline, [topic for topic in roles.watched if topic != roles.image.name], pairing)
         for dated in timeline.messages(roles.image.name, until=lambda _: pairing.is_over):
             pairing.take_dated(dated)
             for frame in pairing.ready_frames():
@@ -168,10 +166,10 @@ class SequenceReader:
                 f" more than {MAX_ODOMETRY_GAP_S:g} s, expected a topic with denser odometry (--odometry-topic,"
                 " --odometry-frame)"
             )
-        for what, unusable in motion.unusable.items():
+        for what, rows in motion.rows.items():
             if roles.odometry_required if what == "poses of odometry" else roles.truth_required:
-                unusable.require_few(self.path)
-            notices += unusable.notices
+                rows.require_few()
+            notices += rows.notices
         if self.counts.used == 0 and (apart := odometry_apart(images, odometry)) is not None:
             raise SequenceError(f"{self.path}: no image has odometry: {apart}")
         if self.counts.used == 0:

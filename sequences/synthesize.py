@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64, UInt8
@@ -69,7 +69,7 @@ _SAMPLES = 4  # per pixel and exposure
 
 @dataclass(frozen=True)
 class SyntheticSequence:
-    """A rendered sequence; images are made when they are asked for.
+    """A rendered sequence of n images, which are made when they are asked for.
 
     Attributes:
         scene: The scene that the camera moves through.
@@ -95,13 +95,12 @@ class SyntheticSequence:
     twist_covariances: Float64[np.ndarray, "k 6 6"]
     world_from_base: Poses
     seed: np.random.SeedSequence
-    rate_hz: float = IMAGE_RATE_HZ
+    rate_hz: float
 
     def images(self) -> Iterator[UInt8[np.ndarray, "height width 3"]]:
         """The images in order, RGB, rendered one by one; every call gives the same bytes.
 
-        While the camera stands, light is traced once and every image is exposed and developed by itself: auto exposure
-        and sensor noise go on, and all that is missing is how the few scattered reflections of gloss would differ.
+        While the camera stands, light is traced once; auto exposure and sensor noise go on.
         """
         rng = np.random.default_rng(self.seed)
         # Exposure follows in the same time at every rate: these are the fractions per tenth of a second.
@@ -131,7 +130,7 @@ SYNTHESIS = 1
 
 _RATES_HZ = (0.1, 200.0)
 _LONGEST_STAND_S = 86400.0
-_ONE_RAY = 1e-9  # fraction of the image: a single coarse ray that meets something unique counts
+_CLEARLY, _ONE_RAY = 0.015, 1e-9  # fractions of the image: with the second, a single coarse ray counts
 _CUES: dict[str, Cues] = {"train": "any", "test": "early"}
 
 
@@ -152,43 +151,33 @@ def synthesize(
 
     Args:
         scene: Name of the scene: one of `SCENES`, or a building by its number, such as `building-7`.
-        seed: Of path, odometry and sensor noise, and of the light and the people in a building; the scene itself is
-            always the same.
+        seed: Of path, odometry and sensor noise, and of the light and the people in a building.
         num_frames: Number of images, without those that a stand adds.
-        split: "test" paths keep further from the edges of the hall than "train" paths, and show something unique
-            "early" where there is anything and `cues` does not state otherwise; "train" paths show "any". The same seed
-            gives different paths in the two. In a building, "train" paths of five seeds in a row begin evenly spread
-            over a tour of all of it, and there are people on "test" paths.
-        cues: Unique things in the scene are passed "early", at will ("any"), or never ("none"); see `choose_path`.
+        split: "test" paths keep further from the edges of the hall than "train" paths. In a building, "train" paths of
+            five seeds in a row begin evenly spread over a tour of all of it, and there are people on "test" paths.
+        cues: Unique things in the scene are passed "early", at will ("any"), or never ("none"); see `choose_path`. None
+            for "early" on "test" paths, where there is anything unique, and "any" on "train" paths.
         width, height: Image size in pixels; the horizontal field of view stays the same.
         noise: Of the odometry; None for that of the scene.
-        rate_hz: Images a second; None for those of the scene, 10 everywhere but in buildings. Path and odometry follow
-            from seed and duration alone, and stamps from a common first one: every third of 900 images at 30 Hz is
-            taken where and when one of 300 at 10 Hz is. What is seen on the way, for `cues`, is looked at ten times a
-            second at every rate.
+        rate_hz: Images a second; None for the scene's, 10 everywhere but in buildings. Path and odometry follow from
+            seed and duration alone: every third of 900 images at 30 Hz is taken where and when one of 300 at 10 Hz is.
         stand: Where the camera stands still, and for how long; that adds images. Odometry goes on, noise and bias too.
 
     Raises:
-        SequenceError: unknown scene, split, cues or size, a negative seed, a rate or stand that cannot be, or no path
-            without anything unique found.
+        SequenceError: an unknown scene, a size, seed, rate or stand that cannot be, or no path without anything unique
+            found.
     """
     spec = find_scene(scene)
     rate_hz = spec.rate_hz if rate_hz is None else rate_hz
-    if split not in SPLITS:
-        raise SequenceError(f"unknown split {split!r}, expected train or test")
-    if cues not in (None, *get_args(Cues)):
-        raise SequenceError(f"unknown cues {cues!r}, expected one of {', '.join(get_args(Cues))}")
-    if seed < 0:
-        raise SequenceError(f"seed {seed}, expected at least 0")
-    if num_frames < 1 or width < 8 or height < 8:
-        raise SequenceError(f"{num_frames} frames of {width} × {height} pixels, expected at least 1 of 8 × 8")
+    if num_frames < 1 or width < 8 or height < 8 or seed < 0:
+        raise SequenceError(
+            f"seed {seed}, {num_frames} frames of {width} × {height} pixels, expected a seed from 0, and at least one"
+            " frame of 8 × 8"
+        )
     if not _RATES_HZ[0] <= rate_hz <= _RATES_HZ[1]:
         raise SequenceError(f"{rate_hz:g} images a second, expected {_RATES_HZ[0]:g} to {_RATES_HZ[1]:g}")
     if stand is not None and not (0 <= stand.image < num_frames and 0 < stand.duration_s <= _LONGEST_STAND_S):
-        raise SequenceError(
-            f"a stand of {stand.duration_s:g} s from image {stand.image} on, expected an image below {num_frames}"
-            f" and at most {_LONGEST_STAND_S:g} s"
-        )
+        raise SequenceError(f"{stand}, expected an image below {num_frames} and at most {_LONGEST_STAND_S:g} s")
     entropy = [seed, SPLITS[split], *spec.seed_numbers]
     path_seed, odometry_seed, image_seed = np.random.SeedSequence(entropy).spawn(3)
     built = spec.build(split, seed)
@@ -199,12 +188,9 @@ def synthesize(
         duration_s = float((image_stamps(num_images)[-1] - EPOCH_NS) * 1e-9 + TAIL_S)
         return spec.path(duration_s, split, seed, rng)
 
-    def at_images(base: Poses, num_images: int) -> Poses:
-        return poses_at(odometry_stamps(base), base, image_stamps(num_images)) @ base_from_camera
-
     def look(base: Poses, num_images: int, closely: bool) -> Bool[np.ndarray, " n"]:
-        at_least = {"min_fraction": _ONE_RAY} if closely else {}
-        return sees_cue(built, camera, at_images(base, num_images), **at_least)
+        at_images = poses_at(odometry_stamps(base), base, image_stamps(num_images)) @ base_from_camera
+        return sees_cue(built, camera, at_images, min_fraction=_ONE_RAY if closely else _CLEARLY)
 
     base = choose_path(
         cues or (_CUES[split] if spec.has_cues else "any"),
@@ -254,7 +240,7 @@ def camera_of(name: str, width: int, height: int) -> Camera:
 
 
 def write_synthetic(
-    sequence: SyntheticSequence, output: Path, *, progress: Callable[[int, int], None] | None = None
+    sequence: SyntheticSequence, output: Path, *, progress: Callable[[int, int], None] = lambda done, total: None
 ) -> None:
     """Render a sequence into an MCAP file, with odometry, true poses and extrinsics.
 
@@ -278,8 +264,7 @@ def write_synthetic(
             written = reached
             writer.write_image(time_ns, image)
             writer.write_true_pose(time_ns, sequence.world_from_camera[i])
-            if progress is not None:
-                progress(i + 1, len(sequence.image_times_ns))
+            progress(i + 1, len(sequence.image_times_ns))
         _write_odometry(writer, sequence, range(written, len(sequence.odometry_times_ns)))
 
 

@@ -25,16 +25,9 @@ _UNITS = (("milliseconds", 3), ("microseconds", 6), ("nanoseconds", 9))
 
 
 def parse_number(value: object, where: str, low: int | float = -LARGEST, high: int | float = LARGEST) -> float:
-    """A finite number.
+    """A finite number within a range, from a number or text that is one.
 
-    Args:
-        value: A number, or text that is one.
-        where: Which number it is; it begins the message of an error.
-        low: The smallest that it may be.
-        high: The largest.
-
-    Raises:
-        SequenceError: it is none, or lies outside.
+    Raises SequenceError where it is none, or lies outside; `where` begins the message.
     """
     try:
         found = _float(value) if isinstance(value, str | int | float) and not isinstance(value, bool) else math.nan
@@ -48,8 +41,7 @@ def parse_number(value: object, where: str, low: int | float = -LARGEST, high: i
 def parse_numbers(values: Iterable[Any], where: str, expected: str = "numbers") -> list[float]:
     """Numbers of a row, whatever their size; NaN and infinity are numbers, which mean that something is not known.
 
-    Raises:
-        SequenceError: one is none. `where` begins the message, and `expected` ends it.
+    Raises SequenceError where one is none. `where` begins the message, and `expected` ends it.
     """
     values = list(values)
     try:
@@ -95,8 +87,7 @@ def parse_frame_number(text: str, where: str) -> int:
 def parse_time_ns(text: str, where: str) -> int:
     """Seconds as decimal text -> integer nanoseconds, without a float between.
 
-    Raises:
-        SequenceError: no number, or a time before 1824 or after 2116. `where` begins the message.
+    Raises SequenceError for no number, or a time before 1824 or after 2116. `where` begins the message.
     """
     try:
         seconds = Decimal(text) if len(text) <= MAX_DIGITS and _is_plain(text) else Decimal("NaN")

@@ -117,7 +117,6 @@ def convert(
 def _odometry(
     images: PosedImages, recorded: Path | None, noise: OdometryNoise | None, seed: int
 ) -> _OdometryTrack | None:
-    """Recorded odometry where there is some, else simulated, else none."""
     camera_from_base = BASE_FROM_CAMERA.inverse()
     if recorded is not None:
         trajectory = read_tum(recorded)
@@ -141,14 +140,13 @@ def _covered(images: PosedImages, track: _OdometryTrack | None, skipped: Counter
     """The images that odometry covers; those that it does not are counted."""
     if track is None:
         return images
+    first_ns, last_ns = images.times_ns[[0, -1]].tolist()
+    overlap = f"expected it to overlap the images from {first_ns} to {last_ns} ns"
     if not len(track.times_ns):
-        raise SequenceError(f"odometry ({track.description}) does not overlap the images in time")
+        raise SequenceError(f"odometry ({track.description}) covers no image, {overlap}")
     _, covered = interpolate(track.times_ns, track.odom_from_base, images.times_ns, max_gap_s=MAX_ODOMETRY_GAP_S)
     if not covered.any():
-        raise SequenceError(
-            f"odometry ({track.description}) from {track.times_ns[0]} to {track.times_ns[-1]} ns covers no image from"
-            f" {images.times_ns[0]} to {images.times_ns[-1]} ns, expected it to overlap"
-        )
+        raise SequenceError(f"odometry ({track.description}) covers no image, {overlap}")
     if not covered.all():
         for time_ns in images.times_ns[~covered].tolist():
             skipped[uncovered(time_ns, track.times_ns)] += 1

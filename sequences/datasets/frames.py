@@ -107,8 +107,7 @@ class PosedFrames(Iterator[Frame]):
     def cameras(self) -> Counter[Camera]:
         """How many images are of which camera, undistorted; of a recording all of its images, whether used or not.
 
-        Raises:
-            SequenceError: as the first frame would.
+        Raises SequenceError as the first frame would.
         """
         source = self._open()
         if isinstance(source, SequenceReader):
@@ -120,8 +119,7 @@ class PosedFrames(Iterator[Frame]):
     def seen_points(self) -> dict[int, SeenPoints]:
         """Which points of a reconstruction the images show, by their stamps; none where the data have none.
 
-        Raises:
-            SequenceError: as the first frame would, and where the points are damaged.
+        Raises SequenceError as the first frame would, and where the points are damaged.
         """
         source = self._open()
         if isinstance(source, SequenceReader) or source.read_points is None:

@@ -83,13 +83,8 @@ class PosedImages:
     ) -> PosedImages:
         """Images of sequences without time stamps, which are made up at the assumed rate, and without intrinsics yet.
 
-        Args:
-            layout: Name of the layout.
-            files: Image files, n of them, those of one sequence together.
-            world_from_camera: True poses, batch (n,).
-            numbers: Increasing frame numbers of each sequence, n in all.
-            skipped: Images and poses left out, by reason; zeros are dropped.
-            notices: Sentences on skipped rows and images.
+        Files and poses, n of each, are those of one sequence together; `numbers` are the increasing frame numbers of
+        each sequence, n in all. Zeros in `skipped` are dropped.
         """
         return cls(
             layout,

@@ -62,16 +62,10 @@ Stated = tuple[ImageFile, Camera | Lens, Float64[np.ndarray, "k 2"], Int64[np.nd
 def seen_points(
     where: str, stated: Iterable[Stated], known: Int64[np.ndarray, " p"], undistort: bool
 ) -> PointsOfImages:
-    """Sightings of the points of a model, without impossible ones.
+    """Sightings of the points of a model whose ids are `known`; `where` begins notices.
 
     Sightings are left out and counted that are not finite, outside of their image, where its distortion folds, or of an
     unknown point. A model with more than 20 million sightings gives none.
-
-    Args:
-        where: Begins notices.
-        stated: Each image in the model.
-        known: Ids of the points that there are.
-        undistort: Whether images are undistorted.
     """
     found: dict[ImageFile, SeenPoints] = {}
     known = np.unique(known)
@@ -111,13 +105,9 @@ class ScenePoints:
 
 
 def scene_points(path: Path) -> ScenePoints | None:
-    """Sparse points of a data set; None where it has none.
+    """Sparse points of a data set with a COLMAP model, in itself, in `sparse/0` or in `sparse`; None where it has none.
 
-    Args:
-        path: The data set: a folder with a COLMAP model, in itself, in `sparse/0` or in `sparse`.
-
-    Raises:
-        SequenceError: the file cannot be read, is cut off, or a line of it is damaged.
+    Raises SequenceError where the file cannot be read, is cut off, or a line of it is damaged.
     """
     for model in (path, path / "sparse" / "0", path / "sparse"):
         for suffix in (".bin", ".txt"):
@@ -130,8 +120,7 @@ def scene_points(path: Path) -> ScenePoints | None:
 def read_points(file: Path) -> ScenePoints:
     """The points of a `points3D.bin` or `points3D.txt`; those that are not finite are left out.
 
-    Raises:
-        SequenceError: it cannot be read, is cut off, or a line of it is damaged.
+    Raises SequenceError where it cannot be read, is cut off, or a line of it is damaged.
     """
     table = np.array([row[1:] for row in _point_rows(file)], np.float64).reshape(-1, 6)
     table = table[np.isfinite(table).all(axis=1)]
@@ -141,8 +130,7 @@ def read_points(file: Path) -> ScenePoints:
 def point_ids(file: Path) -> Int64[np.ndarray, " n"]:
     """POINT3D_ID of each point of a `points3D.bin` or `points3D.txt` that is finite, as they come.
 
-    Raises:
-        SequenceError: it cannot be read, is cut off, or a line of it is damaged.
+    Raises SequenceError where it cannot be read, is cut off, or a line of it is damaged.
     """
     return np.fromiter((row[0] for row in _point_rows(file) if all(map(isfinite, row[1:]))), np.int64)
 

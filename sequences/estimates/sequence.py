@@ -6,27 +6,69 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float64, Int64, Shaped
 
 from filtering.errors import quoted
-from filtering.motion import MotionNoise, Odometry
+from filtering.motion import MotionNoise, Odometry, WhiteNoise
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
-from sequences.estimates.options import EstimateOptions
-from sequences.estimates.pose_files import FrameName, PoseFile, frames_by, natural_order, read_poses
+from sequences.estimates.pose_files import Direction, FrameName, PoseFile, frames_by, natural_order, read_poses
 from sequences.files import Rows
-from sequences.frame import BASE_FROM_CAMERA, Frame, Trajectory
-from sequences.odometry import simulate_odometry
+from sequences.frame import ASSUMED_HZ, BASE_FROM_CAMERA, Frame, Trajectory
+from sequences.odometry import OdometryNoise, simulate_odometry
 from sequences.reading.counts import NO_ESTIMATE, ImageCounts, uncovered
 from sequences.trajectories.interpolation import MAX_ODOMETRY_GAP_S, MAX_TRUE_POSE_GAP_S, interpolate, odometry_between
+from sequences.trajectories.pose_lines import require_columns
 
 HYPOTHESIS = np.dtype([("file", np.int64), ("weight", np.float64), ("world_from_camera", np.float64, (4, 4))])
 """One hypothesis of a frame: number of the file from 0, weight above 0 in any unit, homogeneous matrix."""
 _NO_ODOMETRY = "no odometry of its sequence"
 _SAME_CLOCK_S = 0.05
 _NO_IMAGE = np.zeros((0, 0, 3), np.uint8)
+_MAX_OFFSET_S = 1e10  # between two clocks, one of which began in 1970
+
+
+@dataclass(frozen=True)
+class EstimateOptions:
+    """How to read estimates."""
+
+    direction: Direction | None = None
+    """Which way the poses of named frames map, in all files. TUM trajectories are camera-to-world."""
+    columns: str | None = None
+    """Names of the columns of the files of estimates, as one word in quotation marks, such as "name qw qx qy qz tx ty
+    tz _ _ weight": time in place of name for stamps in seconds, _ for ignored columns. With a weight, such as the
+    number of inliers, a frame may have several lines, which are its hypotheses. Default: as above."""
+    odometry_columns: str | None = None
+    """Names of the columns of odometry, or of the true poses that it is simulated from, independent of --columns.
+    Default: names, TUM text, or EuRoC's data.csv."""
+    ground_truth_columns: str | None = None
+    """Names of the columns of the true poses to compare with, likewise."""
+    time_offset_s: float | Literal["auto"] = 0.0
+    """Seconds to add to the stamps of estimates; auto finds them, file by file, by comparing their rotation with
+    odometry's."""
+    unit_m: float = 1.0
+    """The unit of length of all files, in metres: 0.001 where they are in millimetres."""
+    rate_hz: float = float(ASSUMED_HZ)
+    """Named frames have no stamps: how many there are in a second."""
+    noise: OdometryNoise = field(default_factory=OdometryNoise)
+    """Of simulated odometry."""
+    motion_noise: MotionNoise = field(default_factory=MotionNoise)
+    """Of recorded odometry, whose text states none."""
+    allow_few_images: bool = False
+    """Localize also where odometry covers fewer than one in ten of the estimated frames."""
+
+    def __post_init__(self) -> None:
+        for name in ("columns", "odometry_columns", "ground_truth_columns"):
+            require_columns(f"--{name.replace('_', '-')}", getattr(self, name))
+        if self.time_offset_s != "auto" and not abs(self.time_offset_s) <= _MAX_OFFSET_S:
+            raise SequenceError(f"time_offset_s is {self.time_offset_s}, expected at most {_MAX_OFFSET_S:g} or auto")
+        if not 1e-3 <= self.rate_hz <= 1e6:
+            raise SequenceError(f"rate_hz is {self.rate_hz}, expected between 0.001 and 1e6")
+        if not 1e-6 <= self.unit_m <= 1e6:
+            raise SequenceError(f"unit_m is {self.unit_m}, expected between 1e-6 and 1e6")
 
 
 @dataclass(frozen=True)
@@ -53,7 +95,7 @@ class OdometryTrack:
         asked = np.array([time_ns], np.int64)
         return bool(interpolate(self.times_ns, self.odom_from_base, asked, max_gap_s=MAX_ODOMETRY_GAP_S)[1][0])
 
-    def between(self, start_ns: int, end_ns: int, motion_noise: MotionNoise) -> Odometry:
+    def between(self, start_ns: int, end_ns: int, motion_noise: WhiteNoise) -> Odometry:
         """Motion of the camera between two covered times; the noise is that of odometry without covariances."""
         return odometry_between(
             self.times_ns,
@@ -235,7 +277,6 @@ class EstimateSequence:
         return tracks
 
     def _true_poses(self) -> tuple[Poses | None, np.ndarray]:
-        """True poses of all frames, and which of them are known."""
         if self._truth is None:
             return None, np.zeros(len(self._frames), bool)
         known_ns = np.array([self._times_ns[frame] for frame in self._truth.frames], np.int64)
@@ -282,7 +323,6 @@ def _require_common(file: PoseFile, other: PoseFile) -> None:
 
 
 def _by_frame(files: Sequence[PoseFile]) -> dict[FrameName, Shaped[np.ndarray, " h"]]:
-    """Hypotheses of each frame, file by file."""
     found: dict[FrameName, list[tuple[int, float, np.ndarray]]] = {}
     for number, file in enumerate(files):
         weights = np.ones(len(file.frames)) if file.weights is None else file.weights

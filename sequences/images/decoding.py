@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from types import SimpleNamespace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -23,14 +23,9 @@ _ENCODINGS: dict[str, tuple[str, int, int | None]] = {
     "mono8": ("u1", 1, cv2.COLOR_GRAY2RGB),
     "8UC1": ("u1", 1, cv2.COLOR_GRAY2RGB),
     "8UC3": ("u1", 3, cv2.COLOR_BGR2RGB),
-    "8UC4": ("u1", 4, cv2.COLOR_BGRA2RGB),
     "rgb16": ("u2", 3, None),
     "bgr16": ("u2", 3, cv2.COLOR_BGR2RGB),
-    "rgba16": ("u2", 4, cv2.COLOR_RGBA2RGB),
-    "bgra16": ("u2", 4, cv2.COLOR_BGRA2RGB),
     "mono16": ("u2", 1, cv2.COLOR_GRAY2RGB),
-    "16UC3": ("u2", 3, cv2.COLOR_BGR2RGB),
-    "16UC4": ("u2", 4, cv2.COLOR_BGRA2RGB),
     "bayer_rggb8": ("u1", 1, cv2.COLOR_BayerRGGB2RGB),
     "bayer_bggr8": ("u1", 1, cv2.COLOR_BayerBGGR2RGB),
     "bayer_gbrg8": ("u1", 1, cv2.COLOR_BayerGBRG2RGB),
@@ -43,12 +38,7 @@ _ENCODINGS: dict[str, tuple[str, int, int | None]] = {
     "uyvy": ("u1", 2, cv2.COLOR_YUV2RGB_UYVY),
     "yuv422_yuy2": ("u1", 2, cv2.COLOR_YUV2RGB_YUY2),
     "yuyv": ("u1", 2, cv2.COLOR_YUV2RGB_YUY2),
-    "nv12": ("u1", 1, cv2.COLOR_YUV2RGB_NV12),
-    "nv21": ("u1", 1, cv2.COLOR_YUV2RGB_NV21),
-    "nv24": ("u1", 1, cv2.COLOR_YUV2RGB_NV12),
 }
-# Encodings in planes -> rows of the message for every two of the image: luma, then both chroma values by turns.
-_PLANAR = {"nv12": 3, "nv21": 3, "nv24": 6}
 _NAMES = {name.lower(): name for name in _ENCODINGS}
 # ROS' names of matrices of numbers; those that are no encoding above hold depth, disparity or flow.
 _MATRIX = re.compile(r"(8|16|32|64)[usf]c\d*", re.IGNORECASE)
@@ -60,7 +50,6 @@ def decode_image_bytes(data: bytes) -> UInt8[np.ndarray, "height width 3"]:
     Raises DamagedImageError for a JPEG that is cut off, or whose coded pixels end early: it would decode to a grey or
     shifted image. Raises SequenceError for other bytes, and above 100 megapixels.
     """
-    data = bytes(data)
     check_before_decoding(data)
     image = _decoded(data)
     # Where coded pixels are missing, the decoder leaves the rest grey. A camera may also see a grey corner: then more
@@ -82,7 +71,7 @@ def _decoded(data: bytes) -> UInt8[np.ndarray, "height width 3"]:
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)  # pyright: ignore[reportReturnType]
 
 
-def decode_compressed_image(message: SimpleNamespace) -> UInt8[np.ndarray, "height width 3"]:
+def decode_compressed_image(message: Any) -> UInt8[np.ndarray, "height width 3"]:
     """sensor_msgs/CompressedImage -> RGB. Raises SequenceError as `decode_image_bytes`, and for depth.
 
     `format` marks grey pixels as a Bayer mosaic: image_transport writes `ENCODING; png compressed ` for stored pixels,
@@ -94,7 +83,7 @@ def decode_compressed_image(message: SimpleNamespace) -> UInt8[np.ndarray, "heig
     encoding = _NAMES.get(named[-1].lower(), named[-1]) if named else ""
     _require_image(encoding)
     try:
-        image = decode_image_bytes(message.data)
+        image = decode_image_bytes(bytes(message.data))
     except DamagedImageError:
         raise
     except SequenceError as error:
@@ -112,7 +101,7 @@ def _require_image(encoding: str) -> None:
         )
 
 
-def decode_image(message: SimpleNamespace) -> UInt8[np.ndarray, "height width 3"]:
+def decode_image(message: Any) -> UInt8[np.ndarray, "height width 3"]:
     """sensor_msgs/Image -> RGB; 16-bit values keep their upper 8 bits.
 
     Raises SequenceError for an unknown encoding or depth, too few data, or more than 100 megapixels.
@@ -124,32 +113,27 @@ def decode_image(message: SimpleNamespace) -> UInt8[np.ndarray, "height width 3"
         raise SequenceError(f"image encoding {encoding!r} is not known, expected one of {', '.join(_ENCODINGS)}")
     kind, channels, _ = _ENCODINGS[encoding]
     dtype = np.dtype(kind).newbyteorder(">" if message.is_bigendian else "<")
-    row, rows = width * channels * dtype.itemsize, height * _PLANAR.get(encoding, 2) // 2
-    if height < 1 or width < 1 or step < row or len(message.data) < step * (rows - 1) + row:
+    row = width * channels * dtype.itemsize
+    if height < 1 or width < 1 or step < row or len(message.data) < step * (height - 1) + row:
         raise SequenceError(
             f"image of {width} x {height} {encoding} has {len(message.data)} bytes in rows of {step},"
-            f" expected {row * rows} or more in rows of {row} or more"
+            f" expected {row * height} or more in rows of {row} or more"
         )
     # The last row may lack the padding that the others have.
-    data = np.frombuffer(message.data, np.uint8, count=step * (rows - 1) + row)
-    pixels = np.lib.stride_tricks.as_strided(data, (rows, row), (step, 1), writeable=False)
-    pixels = np.ascontiguousarray(pixels).view(dtype).reshape(rows, width, channels)
+    data = np.frombuffer(message.data, np.uint8, count=step * (height - 1) + row)
+    pixels = np.lib.stride_tricks.as_strided(data, (height, row), (step, 1), writeable=False)
+    pixels = np.ascontiguousarray(pixels).view(dtype).reshape(height, width, channels)
     return _converted((pixels >> 8).astype(np.uint8) if dtype.itemsize == 2 else pixels, encoding)
 
 
-def _converted(pixels: UInt8[np.ndarray, "rows width channels"], encoding: str) -> UInt8[np.ndarray, "height width 3"]:
-    """Pixels of an encoding, their upper 8 bits, as RGB."""
+def _converted(
+    pixels: UInt8[np.ndarray, "height width channels"], encoding: str
+) -> UInt8[np.ndarray, "height width 3"]:
     conversion = _ENCODINGS[encoding][2]
     if conversion is None:
         return np.array(pixels)  # the message's own bytes are not writeable
     try:
-        if encoding != "nv24":
-            return cv2.cvtColor(pixels, conversion)  # pyright: ignore[reportReturnType]
-        # A chroma value for each pixel, as of an image twice as large of which every second pixel is taken.
-        height, width = len(pixels) // 3, pixels.shape[1]
-        luma = pixels[:height].repeat(2, axis=0).repeat(2, axis=1)
-        doubled = np.concatenate([luma, pixels[height:].reshape(height, 2 * width, 1)])
-        return np.ascontiguousarray(cv2.cvtColor(doubled, conversion)[::2, ::2])  # pyright: ignore[reportReturnType]
+        return cv2.cvtColor(pixels, conversion)  # pyright: ignore[reportReturnType]
     except cv2.error as error:
         raise SequenceError(
             f"image of {pixels.shape[1]} x {len(pixels)} {encoding} cannot be converted: {error.err}"

@@ -155,7 +155,6 @@ def rays_of(pixels: Float64[np.ndarray, "n 2"], camera: Camera | Lens) -> Float6
 
 
 def _projected(lens: Lens, rays: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 2"]:
-    """Pixels of rays (x, y, 1)."""
     matrix, coefficients = _matrix(lens.camera), np.array(lens.coefficients, np.float64)
     if lens.model == "equidistant":
         return cv2.fisheye.distortPoints(rays[:, None], matrix, coefficients)[:, 0]

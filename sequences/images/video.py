@@ -54,10 +54,10 @@ class ImageStream:
 
     remembers = False
 
-    def __init__(self, decode: Callable[[SimpleNamespace], Image]) -> None:
+    def __init__(self, decode: Callable[[Any], Image]) -> None:
         self._decode = decode
 
-    def take(self, time_ns: int, message: SimpleNamespace | None) -> Iterable[Picture]:
+    def take(self, time_ns: int, message: Any) -> Iterable[Picture]:
         """The images of a message, none later than the messages so far; None for a lost message."""
         return [] if message is None else [Picture(time_ns, lambda: self._decode(message))]
 
@@ -88,7 +88,7 @@ class Video(ImageStream):
         self._waiting: list[int] = []  # stamps of packets whose images have not come out
         self._begun = False
 
-    def take(self, time_ns: int, message: SimpleNamespace | None) -> Iterator[Picture]:
+    def take(self, time_ns: int, message: Any) -> Iterator[Picture]:
         """See `ImageStream`."""
         if message is None:
             yield from self._break_off()

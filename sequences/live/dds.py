@@ -29,8 +29,7 @@ from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
 from filtering.errors import VaporTrackError
-from sequences.live.options import DdsOptions
-from sequences.live.transport import Offer, Publish
+from sequences.live.transport import DdsOptions, Offer, Publish
 from sequences.recordings.source import RawMessage
 
 _DEPTH, _LATCHED_DEPTH = 100, 1000  # messages kept for slow and for late subscribers
@@ -159,7 +158,6 @@ class DdsTransport:
             self._error = _reason(error)
 
     def _listen(self) -> None:
-        """Deliver messages until the transport is closed."""
         while not self._closed:
             self._waitset.wait(_LONG_NS)
             self._changed.set(False)

@@ -10,7 +10,6 @@ from collections.abc import Callable, Collection, Iterator
 from dataclasses import fields, replace
 from itertools import count
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 from filtering.motion import Odometry
@@ -163,7 +162,7 @@ class LiveReader:
         self.readings = 0
         self._past_counts, self._past_messages = ImageCounts(0), Counter[str]()
         self._clocks: dict[str, ClockOfStream] = {}
-        self._odd: dict[str, list[tuple[RawMessage, SimpleNamespace]]] = {}
+        self._odd: dict[str, list[tuple[RawMessage, Any]]] = {}
         self._tree = self.roles.tree_odometry.open() if self.roles.tree_odometry is not None else None
         self._pairing = self._begin()
 
@@ -219,7 +218,7 @@ class LiveReader:
                 return
         self._feed(raw, message)
 
-    def _goes_on(self, kind: StampKind, raw: RawMessage, message: SimpleNamespace) -> bool:
+    def _goes_on(self, kind: StampKind, raw: RawMessage, message: Any) -> bool:
         """Whether a message belongs to the reading; an odd one waits until it is known whether the clock was set."""
         waiting = self._odd.setdefault(raw.topic, [])
         if kind == "odd":
@@ -243,7 +242,7 @@ class LiveReader:
         self._past_counts.skipped["clock was set"] += self._pairing.num_waiting
         self._pairing = self._begin()
 
-    def _feed(self, raw: RawMessage, message: SimpleNamespace | None) -> None:
+    def _feed(self, raw: RawMessage, message: Any) -> None:
         if message is not None:
             self._fed.add(raw.topic)
         try:
@@ -252,7 +251,7 @@ class LiveReader:
         except SequenceError as error:  # for which a recording would be refused
             self._pairing.skipped.message(f"unusable message on {raw.topic}", raw.log_time_ns, str(error))
 
-    def _stamp(self, raw: RawMessage, message: SimpleNamespace) -> int | None:
+    def _stamp(self, raw: RawMessage, message: Any) -> int | None:
         """The stamp by which the clock of a stream is watched; None where a message has none that counts."""
         if hasattr(message, "header"):
             return stamp_ns(message.header)
@@ -306,9 +305,7 @@ def open_live(
 
     `events` receives the messages of the system, and other events. `admit` returns the message of an event to keep, or
     None; it may raise to end the wait. `waiting` is called with the missing thing, at first and every five seconds.
-
-    Raises:
-        SequenceError: something cannot be used, or there is a choice to make.
+    Raises SequenceError where something cannot be used, or there is a choice to make.
     """
     heard = TopicBuffer(transport, events, options=options)
     changed_s, reported_s = time.monotonic(), -math.inf

@@ -9,14 +9,13 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 from filtering.errors import VaporTrackError, require_within
 from sequences.errors import SequenceError
 from sequences.live.transport import Publish, Transport
 from sequences.recordings.bag import Bag
-from sequences.recordings.message_definitions import DEFINITIONS, begins_with_stamp, decoder, encoder
+from sequences.recordings.message_definitions import begins_with_stamp, decoder, encoder
 from sequences.recordings.source import TF_STATIC, RawMessage
 
 _CLOCK, _CLOCK_TYPE = "/clock", "rosgraph_msgs/Clock"
@@ -64,10 +63,8 @@ def replay(
     """Publish all messages of a recording at the pace of their log times; yields the progress after each.
 
     `notify` is called with the topics that are not published (not of ROS 2's encoding, Foxglove's transforms, a second
-    clock), and once for every topic with messages that cannot be published.
-
-    Raises:
-        SequenceError: the recording cannot be read, or nothing in it can be published.
+    clock), and once for every topic with messages that cannot be published. Raises SequenceError where the recording
+    cannot be read, or nothing in it can be published.
     """
     options = options or ReplayOptions()
     bag = Bag(path)
@@ -99,8 +96,7 @@ def replay(
                 continue
             shift_ns = pace.wait_for(raw.log_time_ns) - raw.log_time_ns
             try:
-                data = _as_published(raw)
-                publish[raw.topic](_restamped(data, raw, shift_ns) if options.restamp else data)
+                publish[raw.topic](_as_published(raw, shift_ns if options.restamp else 0))
             except VaporTrackError as error:
                 if raw.topic not in damaged:
                     damaged.add(raw.topic)
@@ -141,61 +137,41 @@ class _Pace:
         now_ns = self._first_ns + round((time.monotonic() - self._begin_s) * self._rate * 1e9)
         if now_ns - self._ticked_ns >= _CLOCK_EVERY_NS:
             self._ticked_ns = now_ns
-            self._tick(encoder(_CLOCK_TYPE)({"clock": _stamp(now_ns)}))
+            sec, nanosec = divmod(now_ns, 1_000_000_000)
+            self._tick(encoder(_CLOCK_TYPE)({"clock": {"sec": sec, "nanosec": nanosec}}))
 
 
 def _merged(latched: list[bytes]) -> bytes:
     """All transforms of several messages in one, the latest of each child; damaged messages are left out."""
-    found: dict[str, SimpleNamespace] = {}
+    found: dict[str, Any] = {}
     for data in latched:
         with suppress(Exception):  # damaged bytes raise any
             found |= {t.child_frame_id: t for t in decoder(_TFS)(data).transforms}
-    return encoder(_TFS)({"transforms": [_as_fields(t) for t in found.values()]})
+    return encoder(_TFS)({"transforms": [*found.values()]})
 
 
-def _as_published(raw: RawMessage) -> bytes:
-    """Little-endian bytes, as DDS takes them. Raises SequenceError where a message cannot be converted."""
-    if len(raw.data) <= _CDR_HEADER:
-        raise SequenceError(f"{len(raw.data)} bytes, expected more than a header of {_CDR_HEADER}")
-    if raw.data[1] & 1:
+def _as_published(raw: RawMessage, shift_ns: int) -> bytes:
+    """The bytes of a message, with later stamps in its header or transforms. Raises SequenceError for damaged bytes."""
+    if len(raw.data) <= _CDR_HEADER or not raw.data[1] & 1:
+        raise SequenceError(f"{len(raw.data)} bytes, expected a header of little-endian order and more")
+    if not shift_ns:
         return raw.data
-    if raw.type not in DEFINITIONS:
-        raise SequenceError(f"{raw.type} in big-endian order, expected little-endian")
-    return encoder(raw.type)(_as_fields(_read(raw.data, raw.type)))
-
-
-def _read(data: bytes, message_type: str) -> SimpleNamespace:
-    try:
-        return decoder(message_type)(data)
-    except Exception as error:  # damaged bytes raise any
-        raise SequenceError(f"no {message_type}: {type(error).__name__}: {error}") from error
-
-
-def _restamped(data: bytes, raw: RawMessage, shift_ns: int) -> bytes:
-    """A message with later stamps in its header or transforms; other messages unchanged."""
     if raw.type == _TFS:
-        transforms = [_as_fields(t) for t in _read(data, _TFS).transforms]
+        try:
+            transforms = decoder(_TFS)(raw.data).transforms
+        except Exception as error:  # damaged bytes raise any
+            raise SequenceError(f"no {_TFS}: {type(error).__name__}: {error}") from error
         for transform in transforms:
-            transform["header"]["stamp"] = _stamp(_ns(**transform["header"]["stamp"]) + shift_ns)
+            stamp = transform.header.stamp
+            stamp.sec, stamp.nanosec = _shifted(stamp.sec, stamp.nanosec, shift_ns)
         return encoder(_TFS)({"transforms": transforms})
-    if len(data) < _CDR_HEADER + _STAMP.size or not begins_with_stamp(raw.type, raw.definition):
-        return data
-    stamp = _stamp(_ns(*_STAMP.unpack_from(data, _CDR_HEADER)) + shift_ns)
-    return data[:_CDR_HEADER] + _STAMP.pack(*stamp.values()) + data[_CDR_HEADER + _STAMP.size :]
+    end = _CDR_HEADER + _STAMP.size
+    if len(raw.data) < end or not begins_with_stamp(raw.type, raw.definition):
+        return raw.data
+    sec, nanosec = _STAMP.unpack_from(raw.data, _CDR_HEADER)
+    stamp = _shifted(sec, nanosec, shift_ns)
+    return raw.data[:_CDR_HEADER] + _STAMP.pack(*stamp) + raw.data[end:]
 
 
-def _stamp(time_ns: int) -> dict[str, int]:
-    sec, nanosec = divmod(time_ns, 1_000_000_000)
-    return {"sec": sec, "nanosec": nanosec}
-
-
-def _ns(sec: int, nanosec: int) -> int:
-    return sec * 1_000_000_000 + nanosec
-
-
-def _as_fields(value: Any) -> Any:
-    """Fields of a decoded message, as `encoder` takes them."""
-    if isinstance(value, SimpleNamespace) or hasattr(value, "__slots__"):
-        names = getattr(value, "__slots__", None) or vars(value)
-        return {name: _as_fields(getattr(value, name)) for name in names}
-    return [_as_fields(each) for each in value] if isinstance(value, list) else value
+def _shifted(sec: int, nanosec: int, shift_ns: int) -> tuple[int, int]:
+    return divmod(sec * 1_000_000_000 + nanosec + shift_ns, 1_000_000_000)

@@ -63,12 +63,7 @@ class OdometryFit:
     def along(
         self, tangent: Float64[np.ndarray, "*batch 6"], duration_s: Float64[np.ndarray, "*batch"]
     ) -> Float64[np.ndarray, "*batch 6"]:
-        """Variances of white noise, m² and rad², that come along motions of constant twist, as `MotionNoise.along`.
-
-        Args:
-            tangent: ξ = (v, ω) of each motion.
-            duration_s: Seconds it took.
-        """
+        """See `WhiteNoise.along`."""
         moved_m = np.linalg.norm(tangent[..., :3], axis=-1)
         return np.multiply.outer(duration_s, self.white_per_s) + np.multiply.outer(moved_m, self.white_per_m)
 
@@ -82,8 +77,8 @@ class OdometryFit:
     def from_dict(cls, values: Mapping[str, Any]) -> OdometryFit:
         """What `dataclasses.asdict` and JSON made of one.
 
-        Raises:
-            SequenceError: a value is missing, one too many, or no number, or there are other than six for an axis each.
+        Raises SequenceError where a value is missing, one too many, or no number, or there are other than six for an
+        axis each.
         """
         expected = {entry.name for entry in fields(cls)}
         if set(values) != expected:

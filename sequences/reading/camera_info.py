@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from dataclasses import replace
-from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 from jaxtyping import UInt8
@@ -56,7 +56,7 @@ class ImageCamera:
                 f"{bag.path}: {info.name}: {error} (--no-undistort leaves distortion alone, --camera-info-topic '' all)"
             ) from error
 
-    def take(self, message: SimpleNamespace) -> None:
+    def take(self, message: Any) -> None:
         """Take a message of the intrinsics. Raises SequenceError where they are impossible."""
         lens = self._read(message)
         pinhole = None if lens is None else pinhole_of(lens)  # raises where the distortion folds the image
@@ -69,7 +69,7 @@ class ImageCamera:
         self._from_ns.insert(at, time_ns)
         self._lenses.insert(at, lens)
 
-    def _read(self, message: SimpleNamespace) -> Camera | Lens | None:
+    def _read(self, message: Any) -> Camera | Lens | None:
         k = [float(value) for value in message.k]
         if not any(k):
             return None  # by ROS' convention an uncalibrated camera
@@ -113,7 +113,7 @@ class ImageCamera:
             self.notices.append(notice)
 
 
-def _binned(lens: Camera | Lens, message: SimpleNamespace) -> Camera | Lens:
+def _binned(lens: Camera | Lens, message: Any) -> Camera | Lens:
     """The lens after cropping to the region of interest and binning, before which intrinsics are stated."""
     roi = message.roi
     camera = lens.camera if isinstance(lens, Lens) else lens

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Int64
 
-from sequences.errors import SequenceError
 from sequences.trajectories.interpolation import MAX_ODOMETRY_GAP_S
 
 OUTSIDE = "outside the stretch asked for"
@@ -22,7 +20,6 @@ NO_ESTIMATE = "no estimate"  # of others: frames that their files leave out
 ODD = "time stamp unlike those before"
 _NOT_ASKED = (OUTSIDE, NO_ESTIMATE)
 _FEW, _VERY_FEW = 0.5, 0.1  # fractions of the images asked for
-_MOST_UNUSABLE = 0.5
 
 
 def uncovered(time_ns: int, odometry_ns: Int64[np.ndarray, " n"] | tuple[int, int] | None) -> str:
@@ -80,39 +77,6 @@ class ImageCounts:
     @property
     def _asked(self) -> int:
         return self.stated - sum(self.skipped[reason] for reason in _NOT_ASKED)
-
-
-@dataclass
-class Unusable:
-    """How many messages of a topic, or poses in them, cannot be used: NaN, no rotation, undecodable bytes.
-
-    `what` names them in the plural. `first` has time and problem of the first, to end a sentence with.
-    """
-
-    what: str
-    topic: str
-    total: int = 0
-    number: int = 0
-    first: str = ""
-
-    def note(self, time_ns: int, problem: str) -> None:
-        """Count one that cannot be used."""
-        self.number += 1
-        self.first = self.first or f" (first at {time_ns} ns: {problem})"
-
-    @property
-    def notices(self) -> list[str]:
-        """Sentences for users."""
-        return [f"{self.topic}: {self._summary}: left out"] if self.number else []
-
-    @property
-    def _summary(self) -> str:
-        return f"{self.number} of {self.total} {self.what} cannot be used{self.first}"
-
-    def require_few(self, path: Path) -> None:
-        """Raise SequenceError where more than half cannot be used."""
-        if self.number > _MOST_UNUSABLE * self.total:
-            raise SequenceError(f"{path}: {self.topic}: {self._summary}; expected at most one in two")
 
 
 class SkipCounter:

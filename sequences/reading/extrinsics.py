@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from types import SimpleNamespace
+from typing import Any
 
 from filtering.se3 import Poses
 from sequences.errors import NotFoundError, SequenceError
@@ -132,7 +132,7 @@ class Extrinsics:
         """Topics that would show that the camera moves on its body."""
         return (TF_STATIC, *([TF] if any(not step.static for step in self.path) else [])) if self.path else ()
 
-    def require_fixed(self, raw: RawMessage, message: SimpleNamespace) -> None:
+    def require_fixed(self, raw: RawMessage, message: Any) -> None:
         """Take a message of tf. Raises SequenceError where a link of the path moves."""
         links = {step.link: step for step in self.path}
         for t in transforms_from_message(message, links)[0]:
@@ -148,18 +148,9 @@ class Extrinsics:
                 )
 
 
-def find_extrinsics(
-    bag: MessageSource,
-    body: str,
-    camera: str,
-    *,
-    body_is: str = "",
-    camera_is: str = "",
-    instead: str = "--base-from-camera",
-) -> Extrinsics:
+def find_extrinsics(bag: MessageSource, body: str, camera: str) -> Extrinsics:
     """The camera's mount on a body by tf; the identity where both are one frame.
 
-    For the error, `body_is` and `camera_is` state the sources of the names, and `instead` an option that would help.
     Raises NotFoundError where no transforms lead from one to the other.
     """
     if body and body == camera:
@@ -170,9 +161,9 @@ def find_extrinsics(
     if path is None:
         unusable = f"; unusable: {tree.problem}" if tree.problem else ""
         raise NotFoundError(
-            f"{bag.path}: no transform from {body!r}{body_is} to {camera!r}{camera_is}"
-            f" on {TF_STATIC} or {TF}, found frames: {', '.join(tree.frames) or 'none'}{unusable}; expected a chain of"
-            f" transforms between the two (or name --camera-frame, or give {instead})"
+            f"{bag.path}: no transform from {body!r} to {camera!r} on {TF_STATIC} or {TF}, found frames:"
+            f" {', '.join(tree.frames) or 'none'}{unusable}; expected a chain of transforms between the two (or name"
+            " --camera-frame or --ground-truth-child-frame, or give --base-from-camera)"
         )
     return Extrinsics(along(path), tuple(path))
 
@@ -191,16 +182,15 @@ class CameraMount:
     odometry_topic: str = ""
     odometry_frame: str = ""
 
-    def on(self, bag: MessageSource, body: str, body_is: str = "") -> Extrinsics:
+    def on(self, bag: MessageSource, body: str) -> Extrinsics:
         """The camera's mount on a body. Raises SequenceError where neither tf nor the option gives it."""
         if not body or body == self.camera:
             return Extrinsics(Poses.identity())
-        child = "--ground-truth-child-frame"
         if self.base_from_camera is None:
-            return find_extrinsics(bag, body, self.camera, body_is=body_is, instead=f"{child} or --base-from-camera")
+            return find_extrinsics(bag, body, self.camera)
         if self.base in ("", body):
             return Extrinsics(self.base_from_camera)
-        carrier = find_extrinsics(bag, body, self.base, body_is=body_is, instead=child)
+        carrier = find_extrinsics(bag, body, self.base)
         return replace(carrier, body_from_camera=carrier.body_from_camera @ self.base_from_camera)
 
     def path(self, tree: TransformTree, frame: str) -> list[Step] | None:

@@ -6,9 +6,8 @@ Of a recording, each topic beside the images is read as far as an image needs it
 from __future__ import annotations
 
 import heapq
-from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping
-from types import SimpleNamespace
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
 
 from filtering.motion import Odometry
 from sequences.errors import SequenceError
@@ -19,7 +18,7 @@ from sequences.reading.camera_info import ImageCamera
 from sequences.reading.counts import NOT_COME, ODD, OUTSIDE, OVERTAKEN, SkipCounter, uncovered
 from sequences.reading.motion import MotionOfCamera, odometry_apart
 from sequences.reading.roles import Roles
-from sequences.reading.timeline import Dated, Key, Timeline
+from sequences.reading.timeline import Dated, Timeline
 from sequences.recordings.messages import stamp_ns
 from sequences.recordings.source import RawMessage
 
@@ -89,13 +88,13 @@ class FramePairing:
         self._counts = self.skipped.counts
         self._images = roles.open_images()
         # A heap: order, number of images before, stamp, and message, None for a lost one.
-        self._waiting: list[tuple[int, int, int, SimpleNamespace | None]] = []
+        self._waiting: list[tuple[int, int, int, Any]] = []
         self._images_ns: tuple[int, int] | None = None  # earliest and latest stamp
         self.previous_ns: int | None = None
         self._previous_covered = False  # by odometry
         self.frames_span_ns: tuple[int, int] | None = None
 
-    def take(self, raw: RawMessage, message: SimpleNamespace | None) -> None:
+    def take(self, raw: RawMessage, message: Any) -> None:
         """Take a message; None for undecodable bytes. Raises SequenceError where a fixed camera moves."""
         if raw.topic == self._roles.image.name:
             self._counts.read += 1
@@ -107,8 +106,7 @@ class FramePairing:
                     self._camera.take(message)
                 except SequenceError as error:
                     self.skipped.message("unusable intrinsics", raw.log_time_ns, str(error))
-            before_images = self.previous_ns is None and not self._waiting
-            self.motion.take(raw, message, before_images=before_images)
+            self.motion.take(raw, message)
 
     def take_dated(self, dated: Dated) -> None:
         """Take a message of a recording without its odd stamps."""
@@ -131,7 +129,7 @@ class FramePairing:
         if self._images.remembers:  # those after it build on it
             self._wait(self._latest_ns, None)
 
-    def _take_image(self, raw: RawMessage, message: SimpleNamespace | None) -> None:
+    def _take_image(self, raw: RawMessage, message: Any) -> None:
         if message is None:
             self._leave_out_image("undecodable image", raw.log_time_ns)
             return
@@ -143,7 +141,7 @@ class FramePairing:
         else:
             self._counts.skipped[OUTSIDE] += 1
 
-    def _wait(self, time_ns: int, message: SimpleNamespace | None) -> None:
+    def _wait(self, time_ns: int, message: Any) -> None:
         """Keep an image: in the order of stamps, or as it came where those after it build on it."""
         order = 0 if self._images.remembers else time_ns
         heapq.heappush(self._waiting, (order, self._counts.read, time_ns, message))
@@ -263,77 +261,46 @@ class FramePairing:
 
 
 class MotionStreams:
-    """The `watched` topics beside the images, see `Timeline`, each read as far as an image of the pairing needs it."""
+    """The topics beside the images, see `Timeline`, each read ten seconds further than an image needs it."""
 
-    def __init__(
-        self, timeline: Timeline, watched: Mapping[str, Collection[Key] | None], pairing: FramePairing
-    ) -> None:
-        self._topics = [_TopicCursor(timeline, topic, links) for topic, links in watched.items()]
+    def __init__(self, timeline: Timeline, topics: Iterable[str], pairing: FramePairing) -> None:
+        self._cursors = [_TopicCursor(timeline, topic) for topic in topics]
         self._pairing = pairing
         pairing.reaches = self._read_until
         self._num_read = 0
 
     def _read_until(self, time_ns: int) -> bool:
         """Read all that determines the motion at a time; true, as nothing more need be waited for."""
-        for topic in self._topics:
-            while topic.is_behind(time_ns) and self._read(topic, time_ns):
-                pass
-        while not self._pairing.motion.reaches(time_ns):
-            behind = [topic for topic in self._topics if topic.latest_ns < time_ns + _HORIZON_NS]
-            came = [self._read(topic, time_ns) for topic in behind]
-            if not any(came):
-                break
+        until_ns = time_ns + _HORIZON_NS
+        while behind := [cursor for cursor in self._cursors if not cursor.is_over and cursor.latest_ns < until_ns]:
+            self._read(min(behind, key=lambda cursor: cursor.latest_ns), time_ns)
         return True
 
     def finish(self) -> None:
         """Count the rest undecoded. Raises SequenceError where a topic lacks messages that its file states."""
-        for topic in self._topics:
-            topic.is_over = True
-            for _ in topic.messages:
+        for cursor in self._cursors:
+            cursor.is_over = True
+            for _ in cursor.messages:
                 pass
 
-    def _read(self, topic: _TopicCursor, time_ns: int) -> bool:
-        dated = next(topic.messages, None)
+    def _read(self, cursor: _TopicCursor, time_ns: int) -> None:
+        dated = next(cursor.messages, None)
         if dated is None:
-            topic.is_over = True
-            return False
-        topic.note(dated)
+            cursor.is_over = True
+            return
+        cursor.latest_ns = max([cursor.latest_ns, *(stamp_ns for _, stamp_ns in dated.stamps_ns)])
         self._pairing.take_dated(dated)
         self._num_read += 1
         # After the first frame, odometry since the latest one will be asked for.
         if self._num_read % _FORGET_EVERY == 0 and self._pairing.previous_ns is None:
-            self._pairing.motion.forget_before(min(time_ns, *(each.settled_ns for each in self._topics)))
-        return True
+            read_ns = (each.latest_ns for each in self._cursors if not each.is_over)
+            self._pairing.motion.forget_before(min(read_ns, default=time_ns) - _HORIZON_NS)
 
 
 class _TopicCursor:
     """How far one topic was read; `is_over` where no more is wanted."""
 
-    def __init__(self, timeline: Timeline, topic: str, links: Collection[Key] | None) -> None:
-        keys = [("", topic)] if links is None else links
-        self._streams = {key: timeline.streams[key] for key in keys if key in timeline.streams}
-        self._num_read = Counter[Key]()
-        self._latest_ns: dict[Key, int] = {}
+    def __init__(self, timeline: Timeline, topic: str) -> None:
         self.latest_ns = -(1 << 63)
         self.is_over = False
         self.messages: Iterator[Dated] = timeline.messages(topic, until=lambda _: self.is_over)
-
-    def is_behind(self, time_ns: int) -> bool:
-        """Whether more must be read to know the motion at a time."""
-        if self.is_over or self.latest_ns >= time_ns + _HORIZON_NS:
-            return False
-        return any(self._num_read[key] < times.num_until(time_ns) for key, times in self._streams.items())
-
-    @property
-    def settled_ns(self) -> int:
-        """Before this time no message is left to read."""
-        if self.is_over or not self._streams:
-            return 1 << 63
-        return min(self._latest_ns.get(key, -(1 << 63)) - times.lateness_ns for key, times in self._streams.items())
-
-    def note(self, dated: Dated) -> None:
-        """Count a message that was read."""
-        self._num_read.update(dated.keys)
-        for key, time_ns in dated.stamps_ns:
-            self._latest_ns[key] = max(time_ns, self._latest_ns.get(key, time_ns))
-            self.latest_ns = max(self.latest_ns, time_ns)

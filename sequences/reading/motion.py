@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 
 from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
-from sequences.reading.counts import SkipCounter, Unusable
+from sequences.files import Rows
+from sequences.reading.counts import SkipCounter
 from sequences.reading.extrinsics import Extrinsics
 from sequences.reading.pose_sources import PoseSource
 from sequences.reading.roles import Roles
@@ -23,7 +24,7 @@ from sequences.trajectories.pose_window import PoseWindow
 class MotionOfCamera:
     """How the camera moved, by odometry and by true poses, as far as a recording was read.
 
-    `across_jumps` counts frames without a true pose because it jumps about them; `unusable` messages are by kind.
+    `across_jumps` counts frames without a true pose because it jumps about them; `rows` counts poses, by kind.
     """
 
     def __init__(self, roles: Roles, skipped: SkipCounter, *, over_gaps: bool) -> None:
@@ -31,12 +32,11 @@ class MotionOfCamera:
         self._over_gaps = over_gaps
         self.across_jumps = 0
         self._roles, self._skipped = roles, skipped
-        self.unusable: dict[str, Unusable] = {}
+        self.rows: dict[str, Rows] = {}
         self._motion_noise = roles.options.motion_noise
         self._base_from_camera = roles.extrinsics.body_from_camera if roles.extrinsics is not None else None
-        self.source_topics: dict[
-            str, list[Extrinsics]
-        ] = {}  # fixed mounts, by the topics that would show that they move
+        # Fixed mounts, by the topics that would show that they move.
+        self.source_topics: dict[str, list[Extrinsics]] = {}
         mounts = (roles.extrinsics, roles.truth.extrinsics if roles.truth is not None else None)
         for mount in (each for each in mounts if each is not None):
             for topic in mount.source_topics:
@@ -55,11 +55,10 @@ class MotionOfCamera:
         self._origin = np.array(roles.options.ground_truth_origin or (0.0, 0.0, 0.0))
         self._num_true = 0
 
-    def take(self, raw: RawMessage, message: SimpleNamespace | None, *, before_images: bool) -> None:
+    def take(self, raw: RawMessage, message: Any) -> None:
         """Take a message of any topic but the images'; None for undecodable bytes.
 
-        `before_images` is true while no image came: only a late image may need poses of long before. Raises
-        SequenceError where a camera that should be fixed moves.
+        Raises SequenceError where a camera that should be fixed moves.
         """
         sources = [(source, what) for source, what in self._sources if source.topic == raw.topic]
         if message is not None:
@@ -68,17 +67,17 @@ class MotionOfCamera:
             problem = self._roles.why_undecodable(raw)
             self._skipped.message(f"unusable message on {raw.topic}", raw.log_time_ns, problem)
         for source, what in sources:
-            self._take_poses(raw, message, source, what, before_images)
+            self._take_poses(raw, message, source, what)
 
     def _count(self, what: str, raw: RawMessage, problem: str | None) -> None:
         """Count a message, or a transform in it: as unusable where there is a problem."""
-        unusable = self.unusable.setdefault(what, Unusable(what, raw.topic))
-        unusable.total += 1
+        rows = self.rows.setdefault(what, Rows(what))
+        rows.num_rows += 1
         if problem is not None:
-            unusable.note(raw.log_time_ns, problem)
+            rows.leave_out(f"{self._roles.path}: {raw.topic} at {raw.log_time_ns} ns: {problem}")
             self._skipped.message(f"unusable {what}", raw.log_time_ns, problem)
 
-    def _check_extrinsics(self, raw: RawMessage, message: SimpleNamespace) -> None:
+    def _check_extrinsics(self, raw: RawMessage, message: Any) -> None:
         """Take a message of tf: a camera that moves on its base has no odometry, where it can do without."""
         roles = self._roles
         for extrinsics in self.source_topics.get(raw.topic, ()):
@@ -92,18 +91,15 @@ class MotionOfCamera:
                     self._skipped.message(reason, raw.log_time_ns, str(error))
                     self._moves_from_ns = min(stamp_ns(stamped.header) for stamped in message.transforms)
 
-    def _take_poses(
-        self, raw: RawMessage, message: SimpleNamespace | None, source: PoseSource, what: str, before_images: bool
-    ) -> None:
+    def _take_poses(self, raw: RawMessage, message: Any, source: PoseSource, what: str) -> None:
         samples, problems = ([], [self._roles.why_undecodable(raw)]) if message is None else source.samples(message)
         for problem in (*problems, *(None for _ in samples)):
             self._count(what, raw, problem)
         for sample in samples:
             if not source.append(sample):
                 self._skipped.message(f"{what}: time stamp not increasing", sample.time_ns)
-            if before_images or not self._over_gaps:  # a running system has no end
-                late_s = MAX_LATENESS_S if before_images else 2 * MAX_LATENESS_S
-                source.forget_before(sample.time_ns - int(late_s * 1e9))
+            if not self._over_gaps:  # a running system has no end
+                source.forget_before(sample.time_ns - int(2 * MAX_LATENESS_S * 1e9))
 
     def reaches(self, time_ns: int) -> bool:
         """Whether odometry and true poses have come as far as a time."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 from filtering.errors import VaporTrackError
@@ -55,8 +56,7 @@ class PoseRoute:
 def tree_odometry(bag: MessageSource, options: SequenceOptions, mount: CameraMount) -> tuple[PoseRoute, CameraMount]:
     """Odometry of tf: poses of a base, to which the camera is fixed, in a frame such as odom.
 
-    Raises:
-        NotFoundError: no such frame is above the camera, or nothing moves in between.
+    Raises NotFoundError where no such frame is above the camera, or nothing moves in between.
     """
     frame = frame_name(options.odometry_frame or "odom")
     within_s = None if options.odometry_frame else _SURVEY_S
@@ -71,9 +71,7 @@ def tree_odometry(bag: MessageSource, options: SequenceOptions, mount: CameraMou
     links, fixed = path[: moving[-1] + 1], path[moving[-1] + 1 :]
     base, end = (steps[-1].parent if steps[-1].upwards else steps[-1].child for steps in (links, path))
 
-    def source() -> PoseSource:
-        return poses_of_tree(links, Poses.identity(), max_gap_s=MAX_ODOMETRY_GAP_S, watch_jumps=False)
-
+    source = partial(poses_of_tree, links, Poses.identity(), max_gap_s=MAX_ODOMETRY_GAP_S, watch_jumps=False)
     extrinsics = Extrinsics(along(fixed) @ mount.end)
     route = PoseRoute(f"tf frame {frame}", TF, source, extrinsics, {"odometry_frame": frame})
     return route, replace(mount, odometry_frame=frame, base=base if mount.base_from_camera is None else end)
@@ -89,9 +87,8 @@ def find_true_poses(
 ) -> PoseRoute | None:
     """The true poses that options name, else the only candidate; `odometry` reads it to find a time offset by.
 
-    Raises:
-        SequenceError: the named poses are missing or cannot be used; or they are required, and there is no single
-            candidate.
+    Raises SequenceError where the named poses are missing or cannot be used; or they are required, and there is no
+    single candidate.
     """
     if options.poses is not None:
         return _route_of_file(bag, options, mount, odometry)
@@ -111,7 +108,7 @@ def _route_of_topic(bag: MessageSource, options: SequenceOptions, mount: CameraM
     child = frame_name(options.ground_truth_child_frame or "")
     if not child and topic.num_messages:
         child = frames_of_topic(bag, topic)[1]
-    extrinsics = mount.on(bag, child, f" ({topic.name})")
+    extrinsics = mount.on(bag, child)
     notices = []
     if not child and topic.read_as != _CAMERA_POSES:
         notices.append(
@@ -123,10 +120,7 @@ def _route_of_topic(bag: MessageSource, options: SequenceOptions, mount: CameraM
         table = TabledPoses(poses, extrinsics.body_from_camera)
         return PoseRoute(topic.name, "", lambda: table, extrinsics, resolved, notices + unusable.notices)
     gap_s = MAX_TRUE_POSE_GAP_S if topic.read_as == _CAMERA_POSES else MAX_GAP_S
-
-    def source() -> PoseSource:
-        return poses_of_topic(topic, extrinsics.body_from_camera, max_gap_s=gap_s)
-
+    source = partial(poses_of_topic, topic, extrinsics.body_from_camera, max_gap_s=gap_s)
     return PoseRoute(topic.name, topic.name, source, extrinsics, resolved, notices)
 
 
@@ -147,10 +141,7 @@ def _route_of_tree(bag: MessageSource, options: SequenceOptions, mount: CameraMo
             f"{bag.path}: {mount.camera!r} never moves in {frame!r} (--ground-truth-frame), expected a transform on /tf"
             " between the two"
         )
-
-    def source() -> PoseSource:
-        return poses_of_tree(links, mount.end, max_gap_s=MAX_GAP_S)
-
+    source = partial(poses_of_tree, links, mount.end, max_gap_s=MAX_GAP_S)
     return PoseRoute(f"tf frame {frame}", TF, source, Extrinsics(mount.end), {"ground_truth_frame": frame})
 
 
@@ -159,8 +150,8 @@ def _route_of_file(
 ) -> PoseRoute:
     file = Path(options.poses or "")
     rows = Rows("poses")
-    trajectory = read_pose_table(file, options.poses_times, rows, options.poses_columns)
-    extrinsics = mount.on(bag, frame_name(options.ground_truth_child_frame or ""), " (--ground-truth-child-frame)")
+    trajectory = read_pose_table(file, rows, options.poses_columns)
+    extrinsics = mount.on(bag, frame_name(options.ground_truth_child_frame or ""))
     offset_s, notices = options.time_offset_s, rows.notices
     if offset_s == "auto":
         from sequences.trajectories.time_offset import offset_of_clocks  # loads SciPy's signals, which takes a while

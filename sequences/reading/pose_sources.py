@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from types import SimpleNamespace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
@@ -12,8 +11,8 @@ from jaxtyping import Float64
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
+from sequences.files import Rows
 from sequences.frame import Trajectory
-from sequences.reading.counts import Unusable
 from sequences.reading.extrinsics import Step, along
 from sequences.recordings.messages import (
     frame_name,
@@ -29,7 +28,7 @@ from sequences.trajectories.pose_window import Motion, PoseWindow, is_jump
 
 MAX_GAP_S = 0.25
 _MAX_STILL_GAP_S = 2.0
-_POSE_OF: Mapping[str, Callable[[SimpleNamespace], Poses]] = {
+_POSE_OF: Mapping[str, Callable[[Any], Poses]] = {
     "geometry_msgs/PoseStamped": lambda message: pose_from_message(message.pose),
     "geometry_msgs/PoseWithCovarianceStamped": lambda message: pose_from_message(message.pose.pose),
     "geometry_msgs/TransformStamped": lambda message: pose_from_transform(message.transform),
@@ -61,7 +60,7 @@ class PoseSource:
         topic: str,
         path: Sequence[Step],
         body_from_camera: Poses,
-        samples: Callable[[SimpleNamespace], tuple[list[Sample], list[str]]],
+        samples: Callable[[Any], tuple[list[Sample], list[str]]],
         *,
         max_gap_s: float,
         still_gap_s: float = 0.0,
@@ -161,31 +160,35 @@ class TabledPoses(PoseSource):
 
 def poses_of_topic(topic: Topic, body_from_camera: Poses, *, max_gap_s: float) -> PoseSource:
     """Poses of a body on a topic of any type but a path, and of the camera that is fixed on it."""
-    link, pose_of = ("", topic.name), _POSE_OF[topic.read_as]
+    pose_of = _POSE_OF[topic.read_as]
 
-    def samples(message: SimpleNamespace) -> tuple[list[Sample], list[str]]:
-        try:
-            return [Sample(link, stamp_ns(message.header), pose_of(message))], []
-        except VaporTrackError as error:
-            return [], [str(error)]
+    def samples(message: Any) -> list[Sample]:
+        return [Sample(("", topic.name), stamp_ns(message.header), pose_of(message))]
 
-    path = [Step(*link, Poses.identity(), static=False, upwards=False)]
-    return PoseSource(topic.name, path, body_from_camera, samples, max_gap_s=max_gap_s)
+    return _source_of_topic(topic, body_from_camera, samples, max_gap_s=max_gap_s)
 
 
 def odometry_of_topic(topic: Topic) -> PoseSource:
     """Poses of the base, with twist covariances."""
-    link = ("", topic.name)
 
-    def samples(message: SimpleNamespace) -> tuple[list[Sample], list[str]]:
+    def samples(message: Any) -> list[Sample]:
+        found = odometry_from_message(message)
+        return [Sample(("", topic.name), found.time_ns, found.odom_from_base, found.twist_covariance)]
+
+    return _source_of_topic(topic, Poses.identity(), samples, max_gap_s=MAX_ODOMETRY_GAP_S, watch_jumps=False)
+
+
+def _source_of_topic(
+    topic: Topic, body_from_camera: Poses, read: Callable[[Any], list[Sample]], **window: Any
+) -> PoseSource:
+    def samples(message: Any) -> tuple[list[Sample], list[str]]:
         try:
-            sample = odometry_from_message(message)
+            return read(message), []
         except VaporTrackError as error:
             return [], [str(error)]
-        return [Sample(link, sample.time_ns, sample.odom_from_base, sample.twist_covariance)], []
 
-    path, base = [Step(*link, Poses.identity(), static=False, upwards=False)], Poses.identity()
-    return PoseSource(topic.name, path, base, samples, max_gap_s=MAX_ODOMETRY_GAP_S, watch_jumps=False)
+    path = [Step("", topic.name, Poses.identity(), static=False, upwards=False)]
+    return PoseSource(topic.name, path, body_from_camera, samples, **window)
 
 
 def poses_of_tree(
@@ -194,7 +197,7 @@ def poses_of_tree(
     """Poses along a path of tf, and of the camera that is fixed at its end."""
     links = {step.link for step in path if not step.static}
 
-    def samples(message: SimpleNamespace) -> tuple[list[Sample], list[str]]:
+    def samples(message: Any) -> tuple[list[Sample], list[str]]:
         transforms, problems = transforms_from_message(message, links)
         return [Sample((t.parent, t.child), t.time_ns, t.parent_from_child) for t in transforms], problems
 
@@ -209,13 +212,12 @@ def frames_of_topic(bag: MessageSource, topic: Topic) -> tuple[str, str]:
     return frame_name(message.header.frame_id), frame_name(getattr(message, "child_frame_id", ""))
 
 
-def read_path(bag: MessageSource, topic: Topic) -> tuple[Trajectory, Unusable]:
+def read_path(bag: MessageSource, topic: Topic) -> tuple[Trajectory, Rows]:
     """Poses of nav_msgs/Path: the last message where it begins no later than the first one, else all in turn.
 
-    Raises:
-        SequenceError: damaged messages, no poses, poses without stamps of their own, or more than half unusable.
+    Raises SequenceError for damaged messages, no poses, poses without stamps of their own, or more than half unusable.
     """
-    unusable = Unusable("true poses", topic.name)
+    rows = Rows("true poses")
     last = None
     for raw in bag.messages([topic.name]):
         last = raw
@@ -238,16 +240,16 @@ def read_path(bag: MessageSource, topic: Topic) -> tuple[Trajectory, Unusable]:
             time_ns = stamp_ns(stamped.header)
             if times_ns and time_ns <= times_ns[-1]:
                 continue
-            unusable.total += 1
+            rows.num_rows += 1
             try:
                 poses.append(pose_from_message(stamped.pose))
                 times_ns.append(time_ns)
             except VaporTrackError as error:
-                unusable.note(time_ns, str(error))
-    unusable.require_few(bag.path)
+                rows.leave_out(f"{bag.path}: {topic.name} at {time_ns} ns: {error}")
+    rows.require_few()
     if len(times_ns) < 2:
         raise SequenceError(
             f"{bag.path}: {topic.name}: {len(times_ns)} poses at stamps of their own, expected at least two whose"
             " stamps increase"
         )
-    return Trajectory(np.array(times_ns, np.int64), Poses.stack(poses)), unusable
+    return Trajectory(np.array(times_ns, np.int64), Poses.stack(poses)), rows

@@ -118,9 +118,7 @@ class Roles:
         if mount.base_from_camera is not None:
             self.extrinsics = Extrinsics(mount.base_from_camera)
         else:
-            self.extrinsics = find_extrinsics(
-                bag, base, mount.camera, body_is=f" ({topic.name}, child frame)", camera_is=f" ({self.image.name})"
-            )
+            self.extrinsics = find_extrinsics(bag, base, mount.camera)
         return mount
 
     def _take_tree(self, mount: CameraMount) -> CameraMount:
@@ -131,8 +129,7 @@ class Roles:
     def _odometry_track(self) -> Trajectory:
         """The first half hour of odometry, at most 50 poses a second, by one steady clock, to find a time offset by.
 
-        Raises:
-            SequenceError: there is none, or the recording is damaged.
+        Raises SequenceError where there is none, or the recording is damaged.
         """
         source = self.open_odometry()
         if source is None:

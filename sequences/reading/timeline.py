@@ -12,7 +12,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 from types import SimpleNamespace
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Int64
@@ -119,14 +119,12 @@ class Dated(NamedTuple):
         message: Its fields, with stamps by the steady clock; None for undecodable bytes.
         num_odd: How many of its stamps are unlike those around them; such transforms of tf are removed.
         stamps_ns: Its watched stamps that are not odd, with their streams.
-        keys: The streams of all its watched stamps.
     """
 
     raw: RawMessage
-    message: SimpleNamespace | None
+    message: Any
     num_odd: int
     stamps_ns: tuple[tuple[Key, int], ...]
-    keys: tuple[Key, ...]
 
 
 @dataclass
@@ -154,13 +152,6 @@ class StreamTimes:
         usual = self.times_ns if self.odd.all() else self.times_ns[~self.odd]
         self.begin_ns, self.end_ns = int(usual.min()), int(usual.max())
         self.lateness_ns = int((np.maximum.accumulate(usual) - usual).max())
-        order = np.argsort(np.where(self.odd, np.iinfo(np.int64).max, self.times_ns), kind="stable")
-        self._sorted_ns = self.times_ns[order[: len(usual)]]
-        self._num_until = np.maximum.accumulate(order[: len(usual)]) + 1
-
-    def num_until(self, time_ns: int) -> int:
-        """How many messages must be read to have all up to a time, and the one after it."""
-        return int(self._num_until[min(int(np.searchsorted(self._sorted_ns, time_ns)), len(self._sorted_ns) - 1)])
 
 
 class Timeline:
@@ -199,9 +190,6 @@ class Timeline:
         for raw in self._bag.messages([topic], until=until):
             message = decode(self._bag, raw, tolerate=True)
             headers = self._headers(topic, message)
-            keys = [key for key, _ in headers]
-            if message is None and _peeked(raw) is not None:
-                keys = [("", topic)]
             stamps, odd = [], []
             for key, header in headers:
                 times, time_ns = self.streams.get(key), stamp_ns(header)
@@ -217,7 +205,7 @@ class Timeline:
                 seen[key] += 1
             if odd and self._watched[topic] is not None and message is not None:
                 message.transforms = [t for t in message.transforms if not any(t.header is each for each in odd)]
-            yield Dated(raw, message, len(odd), tuple(stamps), tuple(keys))
+            yield Dated(raw, message, len(odd), tuple(stamps))
 
     @property
     def notices(self) -> list[str]:
@@ -261,8 +249,7 @@ class Timeline:
             f" expected increasing ones{helps}"
         )
 
-    def _headers(self, topic: str, message: SimpleNamespace | None) -> list[tuple[Key, SimpleNamespace]]:
-        """The headers that count, with their streams."""
+    def _headers(self, topic: str, message: Any) -> list[tuple[Key, Any]]:
         links = self._watched[topic]
         if message is None:
             return []
@@ -299,7 +286,7 @@ def _by_steady_clock(
         steady = logs[key].copy()
         for jump in jumps[key]:
             same = next(each for each in by_period if abs(each.by_ns - jump.by_ns) < _SET_BACK_S * 1e9)
-            steady[: jump.at] += same.by_ns  # that of the densest stream is the most exact
+            steady[: jump.at] += same.by_ns  # the densest stream measured it most exactly
         dated[key] = _dated(stamps, steady)
     return dated
 

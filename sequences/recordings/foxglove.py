@@ -14,7 +14,7 @@ from typing import Any
 
 from filtering.errors import quoted
 from sequences.errors import SequenceError
-from sequences.recordings.message_definitions import DEFINITIONS
+from sequences.recordings.message_definitions import schema_text
 
 _PREFIXES = {"foxglove.": ("protobuf", "json"), "foxglove_msgs/": ("cdr",)}  # of types, with their encodings
 _MAX_STAMP_S = 2**32  # of nanoseconds since 1970 that 64 bits hold with ease
@@ -43,7 +43,7 @@ def encodings(message_type: str) -> tuple[str, ...]:
     return next(known for prefix, known in _PREFIXES.items() if message_type.startswith(prefix))
 
 
-def converter(message_type: str) -> Callable[[Any], SimpleNamespace]:
+def converter(message_type: str) -> Callable[[Any], Any]:
     """A function from the fields of a message to those of the ROS 2 type as which it is read.
 
     It raises SequenceError where a field is missing or is not of its kind.
@@ -75,12 +75,11 @@ def _own_name(message_type: str) -> str | None:
 @cache
 def _fields(message_type: str) -> list[tuple[str, str, bool]]:
     """Kind and name of each field, and whether it is a single value."""
-    fields = [line.split() for line in DEFINITIONS[message_type].splitlines()]
+    fields = [line.split() for line in schema_text(message_type).split("=")[0].splitlines()]
     return [(kind, name, "[" not in kind and not kind.endswith("/Time")) for kind, name in fields]
 
 
 def _checked(message_type: str, message: Any) -> SimpleNamespace:
-    """The fields that a type is defined to have, each of its kind."""
     fields = SimpleNamespace()
     for kind, name, is_single in _fields(message_type):
         value = _of_kind(kind, getattr(message, name)) if is_single else _field(kind, name, message)

@@ -10,9 +10,8 @@ import os
 import struct
 import zlib
 from collections import Counter
-from collections.abc import Iterator, Set
+from collections.abc import Callable, Iterator, Set
 from contextlib import contextmanager
-from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import IO, TypeVar
@@ -26,14 +25,35 @@ from mcap.opcode import Opcode
 from mcap.records import Chunk, ChunkIndex, McapRecord, MessageIndex, Metadata, MetadataIndex, Schema, Statistics
 
 from sequences.errors import SequenceError
-from sequences.recordings.recording_file import Channel, LatestChunks, Piece, RawRecord, RecordingFile
+from sequences.recordings.recording_file import Channel, RawRecord, RecordingFile
 
 _MAGIC = b"\x89MCAP0\r\n"
 _HEAD = struct.Struct("<BQ")  # of a record: opcode, length
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time; data follow
 _MAX_CHUNK_BYTES = 1 << 28  # of one chunk, uncompressed
+_MAX_KEPT_BYTES = 1 << 26
 _PIECE = 1 << 20
 _Record = TypeVar("_Record", bound=McapRecord)
+
+
+class LatestChunks:
+    """The latest unpacked chunks of all files of a recording, at most 64 MB: several iterators need the same ones."""
+
+    def __init__(self) -> None:
+        self._kept: dict[tuple[Path, int], bytes] = {}  # the one used last comes last
+
+    def get(self, file: Path, offset: int, unpack: Callable[[], bytes]) -> bytes:
+        """The chunk that begins at some byte of a file, unpacked."""
+        key = file, offset
+        data = self._kept.pop(key, None)
+        if data is None:
+            data = unpack()
+            if len(data) > _MAX_KEPT_BYTES:
+                return data
+        self._kept[key] = data
+        while sum(map(len, self._kept.values())) > _MAX_KEPT_BYTES:
+            del self._kept[next(iter(self._kept))]
+        return data
 
 
 class McapFile(RecordingFile):
@@ -60,13 +80,11 @@ class McapFile(RecordingFile):
                 )
                 and len({c.chunk_start_offset for c in self._chunks}) == len(self._chunks)
             )
-            stated = statistics.channel_message_counts if statistics and statistics.channel_message_counts else None
-            self.counts = Counter(stated)
-            if not self._indexed or stated is None:
-                counted, by_indexes = self._list_by_reading(stream)
-                self.counts = self.counts or by_indexes or counted
-                stated = stated or by_indexes
-            self.states_counts = bool(stated)
+            if statistics and statistics.channel_message_counts:
+                self.counts, self.states_counts = Counter(statistics.channel_message_counts), True
+            if not (self._indexed and self.states_counts):
+                counted = self._list_by_reading(stream)
+                self.counts = self.counts or counted
         self.channels = {id: self._described(channel) for id, channel in self._listed.items()}
 
     @contextmanager
@@ -102,7 +120,6 @@ class McapFile(RecordingFile):
         return statistics
 
     def _list(self, opcode: int, content: bytes | memoryview) -> None:
-        """Take in a schema or a channel."""
         if opcode == Opcode.SCHEMA:
             schema = _parse_record(Schema, content)
             self._schemas[schema.id] = schema
@@ -115,30 +132,29 @@ class McapFile(RecordingFile):
         name, definition = (schema.name.replace("/msg/", "/"), schema.data) if schema is not None else ("", b"")
         return Channel(channel.topic, name, channel.message_encoding, definition)
 
-    def _list_by_reading(self, stream: IO[bytes]) -> tuple[Counter[int], Counter[int]]:
-        """Read all for schemas and channels; returns the messages found, and those that indexes of chunks state."""
+    def _list_by_reading(self, stream: IO[bytes]) -> Counter[int]:
         found: Counter[int] = Counter()
-        stated: Counter[int] = Counter()
         stream.seek(0)
         for opcode, content in _read_with_chunks_opened(stream):
             if opcode == Opcode.MESSAGE:
                 found[_MESSAGE.unpack_from(content)[0]] += 1
-            elif opcode == Opcode.MESSAGE_INDEX:
-                index = _parse_record(MessageIndex, content)
-                stated[index.channel_id] += len(index.records)
             else:
                 self._list(opcode, content)
-        return found, stated
+        return found
 
-    def _pieces(self, source: IO[bytes]) -> Iterator[Piece]:
-        if not self._indexed:
-            yield Piece(None, lambda ids: Counter(), lambda ids: self._of(ids, _read_with_chunks_opened(source)))
-        for index in self._chunks if self._indexed else []:
-            counted = partial(self._counted_beside, source, index)
-            yield Piece(index.message_index_offsets.keys(), counted, partial(self._of_chunk, source, index))
+    def _records(self, asked: Set[int], wanted: Set[int], found: Counter[int]) -> Iterator[RawRecord]:
+        with self._reading() as stream:
+            if not self._indexed:
+                yield from self._of(asked, _read_with_chunks_opened(stream))
+                return
+            for index in self._chunks:
+                ids = index.message_index_offsets.keys()
+                if ids.isdisjoint(wanted):
+                    found.update(self._counted_beside(stream, index, asked & ids))
+                else:
+                    yield from self._of_chunk(stream, index, asked)
 
     def _counted_beside(self, stream: IO[bytes], chunk: ChunkIndex, ids: Set[int]) -> Counter[int]:
-        """How many messages of some channels a chunk has, by the indexes beside it."""
         counts: Counter[int] = Counter()
         for id in ids:
             index = _parse_record(

@@ -13,7 +13,7 @@ from mcap.writer import Writer
 
 from filtering.se3 import Poses
 from sequences.atomic import atomic_output
-from sequences.recordings.message_definitions import DEFINITIONS, encoder, schema_name, schema_text
+from sequences.recordings.message_definitions import encoder, is_known, schema_name, schema_text
 from sequences.recordings.source import RawMessage
 
 MAP_FRAME, ODOM_FRAME, BASE_FRAME, CAMERA_FRAME = "map", "odom", "base_link", "camera_optical_frame"
@@ -32,7 +32,7 @@ class MessageChannels:
         key = raw.topic, raw.type
         if key not in self._channels:
             if raw.type not in self._schemas:
-                text = schema_text(raw.type) if raw.type in DEFINITIONS else ""
+                text = schema_text(raw.type) if is_known(raw.type) else ""
                 schema = self._writer.register_schema(schema_name(raw.type), SchemaEncoding.ROS2, text.encode())
                 self._schemas[raw.type] = schema
             channel = self._writer.register_channel(raw.topic, MessageEncoding.CDR, self._schemas[raw.type])
@@ -66,7 +66,6 @@ class MessageWriter:
             self._writer.finish()
 
     def _write(self, topic: str, message_type: str, message: dict, time_ns: int) -> None:
-        """Write a message, whose fields are as `encoder` takes them."""
         data = encoder(message_type)(message)
         self._channels.write(RawMessage(topic, int(time_ns), data, message_type, MessageEncoding.CDR, b""))
 

@@ -10,7 +10,7 @@ import math
 from collections.abc import Collection
 from dataclasses import dataclass
 from functools import lru_cache
-from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
@@ -47,7 +47,7 @@ class FrameTransform:
     time_ns: int
 
 
-def stamp_ns(header: SimpleNamespace) -> int:
+def stamp_ns(header: Any) -> int:
     """Header stamp in integer nanoseconds."""
     return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
 
@@ -57,19 +57,19 @@ def frame_name(frame_id: str) -> str:
     return frame_id.lstrip("/")
 
 
-def pose_from_message(message: SimpleNamespace) -> Poses:
+def pose_from_message(message: Any) -> Poses:
     """geometry_msgs/Pose -> one pose. Raises VaporTrackError where it is not finite, too far away or no rotation."""
     p, q = message.position, message.orientation
     return _pose((p.x, p.y, p.z), (q.x, q.y, q.z, q.w))
 
 
-def pose_from_transform(message: SimpleNamespace) -> Poses:
+def pose_from_transform(message: Any) -> Poses:
     """geometry_msgs/Transform -> one pose. Raises VaporTrackError as `pose_from_message`."""
     t, q = message.translation, message.rotation
     return _pose((t.x, t.y, t.z), (q.x, q.y, q.z, q.w))
 
 
-def odometry_from_message(message: SimpleNamespace) -> OdometrySample:
+def odometry_from_message(message: Any) -> OdometrySample:
     """nav_msgs/Odometry -> a sample.
 
     The pose covariance is ignored: it accumulates from the start, or is a placeholder. A twist covariance with −1 in
@@ -77,12 +77,14 @@ def odometry_from_message(message: SimpleNamespace) -> OdometrySample:
     VaporTrackError where the pose or the twist covariance is not finite, or no covariance.
     """
     pose = pose_from_message(message.pose.pose)
-    return OdometrySample(stamp_ns(message.header), pose, _twist_covariance(tuple(message.twist.covariance)))
+    return OdometrySample(
+        stamp_ns(message.header), pose, _twist_covariance(np.asarray(message.twist.covariance, np.float64).tobytes())
+    )
 
 
 @lru_cache(maxsize=64)  # many drivers state the same one always
-def _twist_covariance(values: tuple[float, ...]) -> Float64[np.ndarray, "6 6"]:
-    covariance = np.array(values, np.float64).reshape(6, 6)
+def _twist_covariance(values: bytes) -> Float64[np.ndarray, "6 6"]:
+    covariance = np.frombuffer(values).reshape(6, 6).copy()
     if covariance[0, 0] == -1.0:
         covariance = np.zeros((6, 6))
     unmeasured = np.flatnonzero(covariance.diagonal() >= _UNKNOWN_VARIANCE)  # infinity is, NaN is not
@@ -100,7 +102,7 @@ def _twist_covariance(values: tuple[float, ...]) -> Float64[np.ndarray, "6 6"]:
 
 
 def transforms_from_message(
-    message: SimpleNamespace, links: Collection[tuple[str, str]] | None = None
+    message: Any, links: Collection[tuple[str, str]] | None = None
 ) -> tuple[list[FrameTransform], list[str]]:
     """tf2_msgs/TFMessage -> its transforms (of some links, parent and child), and the problem of each unusable one."""
     transforms, problems = [], []

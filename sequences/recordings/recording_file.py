@@ -1,7 +1,6 @@
 """One file of a recording, in any format: its channels, and a stream of raw messages in bounded memory.
 
-A file consists of pieces, which are read in their order: chunks, ranges of rows, or all of it. Pieces that nobody needs
-are counted by the index, without opening them. The count is compared with the number of messages that the file states.
+The number of messages found is compared with the number that the file states.
 """
 
 from __future__ import annotations
@@ -11,8 +10,7 @@ import sqlite3
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Set
-from contextlib import AbstractContextManager, closing, contextmanager
-from functools import partial
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, ClassVar, NamedTuple, cast
 
@@ -23,8 +21,6 @@ if TYPE_CHECKING:
 
 SUFFIXES = (".mcap", ".db3", ".bag")
 SQLITE_MAGIC, ROS1_MAGIC = b"SQLite format 3\0", b"#ROSBAG V"
-_ROWS = 1000  # of a piece of SQLite
-_MAX_KEPT_BYTES = 1 << 26
 
 
 class Channel(NamedTuple):
@@ -42,14 +38,6 @@ class RawRecord(NamedTuple):
     channel_id: int
     log_time_ns: int
     data: bytes
-
-
-class Piece(NamedTuple):
-    """A part of a file: its channels (None where unknown), a count and an iterator of its messages of some channels."""
-
-    channels: Set[int] | None
-    counted: Callable[[Set[int]], Counter[int]]
-    records: Callable[[Set[int]], Iterator[RawRecord]]
 
 
 class RecordingFile(ABC):
@@ -80,22 +68,14 @@ class RecordingFile(ABC):
         SequenceError where the file is damaged, or has not the number of messages that it states.
         """
         asked = {id for id, channel in self.channels.items() if channel.topic in topics}
-        found: Counter[int] = Counter()
-        wanted = set(asked)
-        with self._reading() as source:
-            for piece in self._pieces(source):
-                if piece.channels is not None and piece.channels.isdisjoint(wanted):
-                    found += piece.counted(asked & piece.channels)
-                    continue
-                for record in piece.records(asked):
-                    id = record.channel_id
-                    found[id] += 1
-                    if id not in wanted:
-                        continue
-                    if until(record.log_time_ns):
-                        wanted.discard(id)
-                        continue
-                    yield record
+        wanted, found = set(asked), Counter[int]()
+        for record in self._records(asked, wanted, found):
+            id = record.channel_id
+            found[id] += 1
+            if id in wanted and until(record.log_time_ns):
+                wanted.discard(id)
+            elif id in wanted:
+                yield record
         for id in sorted(asked):
             if found[id] != self.counts[id]:
                 raise SequenceError(
@@ -104,32 +84,11 @@ class RecordingFile(ABC):
                 )
 
     @abstractmethod
-    def _reading(self) -> AbstractContextManager[Any]:
-        """Open the file; any error of reading becomes one that names it."""
+    def _records(self, asked: Set[int], wanted: Set[int], found: Counter[int]) -> Iterator[RawRecord]:
+        """Messages of the channels that are asked for, in their order; any error of reading names the file.
 
-    @abstractmethod
-    def _pieces(self, source: Any) -> Iterator[Piece]:
-        """The pieces of the opened file, in their order."""
-
-
-class LatestChunks:
-    """The latest unpacked chunks of all files of a recording, at most 64 MB: several iterators need the same ones."""
-
-    def __init__(self) -> None:
-        self._kept: dict[tuple[Path, int], bytes] = {}  # the one used last comes last
-
-    def get(self, file: Path, offset: int, unpack: Callable[[], bytes]) -> bytes:
-        """The chunk that begins at some byte of a file, unpacked."""
-        key = file, offset
-        data = self._kept.pop(key, None)
-        if data is None:
-            data = unpack()
-            if len(data) > _MAX_KEPT_BYTES:
-                return data
-        self._kept[key] = data
-        while sum(map(len, self._kept.values())) > _MAX_KEPT_BYTES:
-            del self._kept[next(iter(self._kept))]
-        return data
+        Messages of channels that are not `wanted` any more may be passed over, and are then added to `found`.
+        """
 
 
 class SqliteFile(RecordingFile):
@@ -148,7 +107,8 @@ class SqliteFile(RecordingFile):
             for id, *described in database.execute("SELECT id, name, type, serialization_format FROM topics"):
                 name, kind, encoding = map(str, described)
                 self.channels[id] = Channel(name, kind.replace("/msg/", "/"), encoding, b"")
-            self.counts = self._counted(database, 0, 1 << 62, self.channels.keys())
+            counted = database.execute("SELECT topic_id, count(*) FROM messages GROUP BY topic_id")
+            self.counts = Counter({id: count for id, count in counted if id in self.channels})
 
     @contextmanager
     def _reading(self) -> Iterator[sqlite3.Connection]:
@@ -163,37 +123,19 @@ class SqliteFile(RecordingFile):
         except (sqlite3.Error, ValueError, TypeError, OverflowError) as error:
             raise SequenceError(f"{self.path}: damaged SQLite: {error}; expected a readable rosbag2") from error
 
-    def _pieces(self, source: sqlite3.Connection) -> Iterator[Piece]:
-        first, last = source.execute("SELECT min(id), max(id) FROM messages").fetchone()
-        while first is not None:
-            rows = source.execute("SELECT id FROM messages WHERE id >= ? ORDER BY id LIMIT 1 OFFSET ?", (first, _ROWS))
-            end = (rows.fetchone() or (last + 1,))[0]
-            counts = self._counted(source, first, end, self.channels.keys())
-            yield Piece(
-                counts.keys(),
-                lambda ids, counts=counts: Counter({id: counts[id] for id in ids}),
-                partial(self._records, source, first, end),
+    def _records(self, asked: Set[int], wanted: Set[int], found: Counter[int]) -> Iterator[RawRecord]:
+        listed = ",".join(str(int(id)) for id in sorted(asked))
+        with self._reading() as database:
+            rows = database.execute(
+                f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({listed}) ORDER BY id"
             )
-            first = end if end <= last else None
-
-    def _counted(self, database: sqlite3.Connection, first: int, end: int, ids: Set[int]) -> Counter[int]:
-        """How many messages with ids from `first` up to `end` some channels have."""
-        rows = database.execute(
-            "SELECT topic_id, count(*) FROM messages WHERE id >= ? AND id < ? GROUP BY topic_id", (first, end)
-        )
-        return Counter({id: count for id, count in rows if id in ids})
-
-    def _records(self, database: sqlite3.Connection, first: int, end: int, ids: Set[int]) -> Iterator[RawRecord]:
-        wanted = ",".join(str(int(id)) for id in sorted(ids))
-        rows = database.execute(
-            f"SELECT topic_id, timestamp, data FROM messages WHERE id >= ? AND id < ? AND topic_id IN ({wanted})"
-            " ORDER BY id",
-            (first, end),
-        )
-        for id, log_time_ns, data in rows:
-            if not (isinstance(log_time_ns, int) and isinstance(data, bytes)):
-                raise ValueError(f"a message of {self.channels[id].topic} has no time or no bytes")
-            yield RawRecord(id, log_time_ns, data)
+            for id, log_time_ns, data in rows:
+                if not wanted:
+                    found.update({each: self.counts[each] - found[each] for each in asked})
+                    return
+                if not (isinstance(log_time_ns, int) and isinstance(data, bytes)):
+                    raise ValueError(f"a message of {self.channels[id].topic} has no time or no bytes")
+                yield RawRecord(id, log_time_ns, data)
 
 
 class _BoundedFile(io.BufferedReader):
@@ -243,10 +185,9 @@ class Ros1File(RecordingFile):
                 f"{self.path}: damaged or unfinished ROS 1 bag: {reason}; expected one with an index ({self.rescue})"
             ) from error
 
-    def _pieces(self, source: Reader) -> Iterator[Piece]:
-        yield Piece(None, lambda ids: Counter(), partial(self._records, source))
-
-    def _records(self, reader: Reader, ids: Set[int]) -> Iterator[RawRecord]:
-        if asked := [connection for connection in reader.connections if connection.id in ids]:
-            for connection, log_time_ns, data in reader.messages(asked):
-                yield RawRecord(connection.id, log_time_ns, bytes(data))
+    def _records(self, asked: Set[int], wanted: Set[int], found: Counter[int]) -> Iterator[RawRecord]:
+        with self._reading() as reader:
+            # Without connections the library would read all of them.
+            if connections := [connection for connection in reader.connections if connection.id in asked]:
+                for connection, log_time_ns, data in reader.messages(connections):
+                    yield RawRecord(connection.id, log_time_ns, bytes(data))

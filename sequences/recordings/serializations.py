@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache, lru_cache
+from functools import lru_cache
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import zstandard
 from mcap.records import Schema
@@ -13,11 +13,7 @@ from mcap.records import Schema
 from sequences.errors import SequenceError
 from sequences.files import parse_json
 from sequences.recordings import foxglove, message_definitions
-from sequences.recordings.message_definitions import DEFINITIONS, schema_name, schema_text
-
-if TYPE_CHECKING:
-    from rosbags.typesys.store import Typestore
-
+from sequences.recordings.message_definitions import is_known, message_types, schema_name
 
 _ZSTD = b"\x28\xb5\x2f\xfd"  # no CDR begins so
 _MAX_BYTES = 1 << 28
@@ -25,7 +21,7 @@ _MAX_BYTES = 1 << 28
 
 def encoding_of(message_type: str, encoding: str) -> str:
     """The encoding of `plain` bytes."""
-    return "cdr" if encoding == "ros1" and message_type in DEFINITIONS else encoding
+    return "cdr" if encoding == "ros1" and is_known(message_type) else encoding
 
 
 def plain(message_type: str, encoding: str, data: bytes) -> bytes:
@@ -37,25 +33,13 @@ def plain(message_type: str, encoding: str, data: bytes) -> bytes:
         if size == -1:
             return zstandard.ZstdDecompressor().decompressobj().decompress(data)
         return zstandard.decompress(data)
-    if encoding == "ros1" and message_type in DEFINITIONS:
-        return bytes(_ros1().ros1_to_cdr(data, schema_name(message_type)))
+    if encoding == "ros1" and is_known(message_type):
+        return bytes(message_types().ros1_to_cdr(data, schema_name(message_type)))
     return data
 
 
-@cache
-def _ros1() -> Typestore:
-    """The types that are read, by our own definitions: those of files are not run."""
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # few recordings need it
-
-    store = get_typestore(Stores.EMPTY)
-    for name in DEFINITIONS:
-        new = get_types_from_msg(schema_text(name), schema_name(name))
-        store.register({known: kind for known, kind in new.items() if known not in store.fielddefs})
-    return store
-
-
 @lru_cache(maxsize=256)
-def decoder(message_type: str, encoding: str, definition: bytes) -> Callable[[bytes], SimpleNamespace]:
+def decoder(message_type: str, encoding: str, definition: bytes) -> Callable[[bytes], Any]:
     """A function from the bytes of a message to its fields; only protobuf needs the file's definition of the type.
 
     Raises SequenceError where the encoding is not cdr, protobuf or json, or the definition is damaged.

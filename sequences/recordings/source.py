@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from itertools import accumulate
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Literal, NamedTuple, Protocol, runtime_checkable
+from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
 
 from filtering.errors import quoted
 from sequences.errors import NotFoundError, SequenceError
@@ -78,7 +78,7 @@ class RawMessage(NamedTuple):
     restamped: bool = False
     problem: str = ""
 
-    def decode(self) -> SimpleNamespace:
+    def decode(self) -> Any:
         """Its fields, named as in ROS 2. A damaged one raises any exception, by its encoding."""
         if self.problem:
             raise SequenceError(self.problem)
@@ -150,14 +150,14 @@ def stands_for(topic: Topic, tf: Mapping[str, str]) -> tuple[str, ...]:
     return (tf.get(topic.name, topic.name),)
 
 
-def link_of(stamped: SimpleNamespace) -> tuple[str, str]:
+def link_of(stamped: Any) -> tuple[str, str]:
     """Names of parent and child of geometry_msgs/TransformStamped."""
     return frame_name(stamped.header.frame_id), frame_name(stamped.child_frame_id)
 
 
 def fixed_links_of(source: MessageSource) -> frozenset[tuple[str, str]]:
     """Parent and child of Foxglove's transforms that never change; one that comes only once holds throughout."""
-    first: dict[tuple[str, str], SimpleNamespace] = {}
+    first: dict[tuple[str, str], Any] = {}
     moving: set[tuple[str, str]] = set()
     if not any(topic.is_foxglove_tf for topic in source.topics.values()):
         return frozenset()
@@ -184,16 +184,9 @@ def choose(
 ) -> Topic | None:
     """The topic named, or the only one of its types; None where the name is '', or there is none and none is required.
 
-    Args:
-        bag: The recording.
-        role: Its role, as in the name of its option.
-        types: ROS 2 types as which its messages may be read.
-        name: Its name; None to find it.
-        required: Whether none is an error.
-        besides: Name of a topic with another role, which is not found.
-
-    Raises:
-        SequenceError: one of another type or encoding, or several; NotFoundError: none.
+    Types are those of ROS 2 as which messages may be read; the `role` is as in the name of its option. A topic
+    `besides` has another role, and is not found. Raises SequenceError for one of another type or encoding and for
+    several, and NotFoundError for none.
     """
     others = f" or {len(types) - 2} others" if len(types) > 2 else ""
     option, expected = f"--{role}-topic", " or ".join(types[:2]) + others
@@ -239,7 +232,7 @@ def listing(topics: Iterable[Topic]) -> str:
     return f"found {', '.join(fitting)}{more}" if found else "found no topics"
 
 
-def decode(bag: MessageSource, raw: RawMessage, *, tolerate: bool = False) -> SimpleNamespace | None:
+def decode(bag: MessageSource, raw: RawMessage, *, tolerate: bool = False) -> Any:
     """Fields of a message. Undecodable bytes raise SequenceError or, if tolerated, give None.
 
     Foxglove's transforms are on /tf_static where they never change, else on /tf.
@@ -260,7 +253,7 @@ def decode(bag: MessageSource, raw: RawMessage, *, tolerate: bool = False) -> Si
     return message
 
 
-def first(bag: MessageSource, topic: Topic) -> SimpleNamespace:
+def first(bag: MessageSource, topic: Topic) -> Any:
     """The first readable message of a topic. Raises NotFoundError where there is none."""
     for raw in bag.messages([topic.name]):
         if (message := decode(bag, raw, tolerate=True)) is not None:

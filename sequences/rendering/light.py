@@ -5,23 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64
+from jaxtyping import Float32, Float64
 from scipy.ndimage import distance_transform_edt
 
 from sequences.rendering.mesh import Geometry, Tracer
 
-MAX_GRID = 45  # points along a side of a large surface
+_MOST_POINTS = 45  # along a side of a large surface
 
 
 @dataclass(frozen=True)
 class Sampling:
-    """Density of light samples.
+    """Density of light samples: spacing of the points, and rays from each to every lamp and all around.
 
-    Attributes:
-        grid_m: Spacing of the points at which light is computed.
-        shadow_rays: To each lamp or window, from each point.
-        bounce_rays: From each point.
-        reach_m: Farther lamps do not count.
+    Lamps beyond `reach_m` do not count.
     """
 
     grid_m: float = 0.11
@@ -30,26 +26,7 @@ class Sampling:
     reach_m: float = 9.0
 
 
-@dataclass(frozen=True)
-class LightMap:
-    """Irradiance / π of every chart, on a grid of (rows, columns) points a chart, flattened one after the other.
-
-    Attributes:
-        start: Index of each chart's first point.
-        rows, columns: Size of each chart's grid.
-        radiosity: Light per point that a white surface would send out.
-    """
-
-    start: Int64[np.ndarray, " m"]
-    rows: Int64[np.ndarray, " m"]
-    columns: Int64[np.ndarray, " m"]
-    radiosity: Float32[np.ndarray, "p 3"]
-
-    def of_chart(self, chart: int) -> Float32[np.ndarray, "rows columns 3"]:
-        """The grid of one chart."""
-        rows, columns = int(self.rows[chart]), int(self.columns[chart])
-        start = int(self.start[chart])
-        return self.radiosity[start : start + rows * columns].reshape(rows, columns, 3)
+USUAL = Sampling()
 
 
 def bake_light(
@@ -59,9 +36,9 @@ def bake_light(
     emitted: Float64[np.ndarray, "m 3"],
     *,
     rng: np.random.Generator,
-    sampling: Sampling | None = None,
-) -> LightMap:
-    """Direct light from every emitting surface with soft shadows, and two diffuse bounces.
+    sampling: Sampling = USUAL,
+) -> list[Float32[np.ndarray, "rows columns 3"]]:
+    """Irradiance / π of every chart, on a grid of points: direct light with soft shadows, and two diffuse bounces.
 
     Args:
         geometry: The scene.
@@ -69,36 +46,38 @@ def bake_light(
         reflectance: Mean reflectance of each chart.
         emitted: Mean radiance given off by each chart, zero for most.
         rng: Source of the sample positions.
-        sampling: Number of points and rays; None for the defaults.
+        sampling: Number of points and rays.
     """
-    sampling = sampling or Sampling()
     quads = geometry.chart_quad
     edge_u, edge_v = geometry.edge_u[quads], geometry.edge_v[quads]
     size_u, size_v = np.linalg.norm(edge_u, axis=1), np.linalg.norm(edge_v, axis=1)
-    spacing = np.maximum(sampling.grid_m, np.sqrt(size_u * size_v) / MAX_GRID)
+    spacing = np.maximum(sampling.grid_m, np.sqrt(size_u * size_v) / _MOST_POINTS)
     columns = np.maximum(1, np.round(size_u / spacing)).astype(np.int64)
     rows = np.maximum(1, np.round(size_v / spacing)).astype(np.int64)
-    start = np.concatenate([[0], np.cumsum(rows * columns)])
+    start = np.cumsum(rows * columns) - rows * columns
     chart = np.repeat(np.arange(len(quads)), rows * columns)
-    local = np.arange(start[-1]) - start[chart]
+    local = np.arange(len(chart)) - start[chart]
     s = (local % columns[chart] + 0.5) / columns[chart]
     t = (local // columns[chart] + 0.5) / rows[chart]
     normal = geometry.normals()[quads][chart]
     point = geometry.origin[quads][chart] + s[:, None] * edge_u[chart] + t[:, None] * edge_v[chart] + 2e-3 * normal
 
     direct = _direct(geometry, tracer, emitted, point, normal, rng, sampling)
-    hit_chart, hit_index, valid = _bounce_targets(
-        geometry, tracer, point, normal, start, rows, columns, rng, sampling.bounce_rays
-    )
-    direct[~valid] = 0
+    hit, s, t, is_open = _bounces(geometry, tracer, point, normal, rng, sampling.bounce_rays)
+    column = np.clip((s * columns[hit]).astype(np.int64), 0, columns[hit] - 1)
+    row = np.clip((t * rows[hit]).astype(np.int64), 0, rows[hit] - 1)
+    index = start[hit] + row * columns[hit] + column
+    direct[~is_open] = 0
     light = direct
     for _ in range(2):
         sent = light * reflectance[chart]
-        light = direct + np.where(hit_chart[..., None] >= 0, sent[np.maximum(hit_index, 0)], 0.0).mean(axis=1)
-    radiosity = light.astype(np.float32)
-    for index in np.unique(chart[~valid]):
-        _fill(radiosity, valid, int(start[index]), int(rows[index]), int(columns[index]))
-    return LightMap(start[:-1], rows, columns, radiosity)
+        light = direct + np.where(hit[..., None] >= 0, sent[index], 0.0).mean(axis=1)
+    grids = np.split(light.astype(np.float32), start[1:])
+    opened = np.split(is_open, start[1:])
+    return [
+        _filled(grid.reshape(height, width, 3), known.reshape(height, width))
+        for grid, known, height, width in zip(grids, opened, rows, columns, strict=True)
+    ]
 
 
 def _direct(
@@ -137,18 +116,13 @@ def _direct(
     return light
 
 
-def _bounce_targets(
-    geometry: Geometry,
-    tracer: Tracer,
-    point: np.ndarray,
-    normal: np.ndarray,
-    start: np.ndarray,
-    rows: np.ndarray,
-    columns: np.ndarray,
-    rng: np.random.Generator,
-    num_rays: int,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Chart and light point (n, k) at the end of cosine-distributed rays; which points see open space."""
+def _bounces(
+    geometry: Geometry, tracer: Tracer, point: np.ndarray, normal: np.ndarray, rng: np.random.Generator, num_rays: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Chart (−1: none) and place on it, (n, k) each, at the end of cosine-distributed rays; which points are outside.
+
+    Points inside other bodies see the back of surfaces.
+    """
     k = np.arange(num_rays)
     u1 = (k + 0.5) / num_rays
     u2 = (k * 0.6180339887 + rng.random((len(point), 1))) % 1.0
@@ -163,22 +137,16 @@ def _bounce_targets(
         + np.sqrt(1 - u1)[None, :, None] * normal[:, None]
     ).reshape(-1, 3)
     quad, s, t, _ = tracer.first_hit(np.repeat(point, num_rays, axis=0), ray)
-    facing = np.einsum("nd,nd->n", geometry.normals()[quad], ray) < 0
-    chart = np.where((quad >= 0) & facing, geometry.chart[quad], -1)
-    safe = np.maximum(chart, 0)
-    column = np.clip((s * columns[safe]).astype(np.int64), 0, columns[safe] - 1)
-    row = np.clip((t * rows[safe]).astype(np.int64), 0, rows[safe] - 1)
-    index = start[safe] + row * columns[safe] + column
-    shape = (len(point), num_rays)
-    behind = ((quad >= 0) & ~facing).reshape(shape)
-    return chart.reshape(shape), index.reshape(shape), behind.mean(axis=1) < 0.3
+    is_facing = np.einsum("nd,nd->n", geometry.normals()[quad], ray) < 0
+    chart = np.where((quad >= 0) & is_facing, geometry.chart[quad], -1)
+    behind = ((quad >= 0) & ~is_facing).reshape(len(point), num_rays)
+    shape = behind.shape
+    return chart.reshape(shape), s.reshape(shape), t.reshape(shape), behind.mean(axis=1) < 0.3
 
 
-def _fill(radiosity: np.ndarray, valid: np.ndarray, start: int, rows: int, columns: int) -> None:
-    """Give points inside other bodies the light of the nearest point in the open: no darkness bleeds out."""
-    grid = valid[start : start + rows * columns].reshape(rows, columns)
-    if not grid.any():
-        return
-    nearest = np.asarray(distance_transform_edt(~grid, return_distances=False, return_indices=True))
-    values = radiosity[start : start + rows * columns].reshape(rows, columns, 3)
-    values[:] = values[nearest[0], nearest[1]]
+def _filled(grid: np.ndarray, is_open: np.ndarray) -> np.ndarray:
+    """Points inside other bodies have the light of the nearest point outside: no darkness bleeds out."""
+    if is_open.all() or not is_open.any():
+        return grid
+    nearest = np.asarray(distance_transform_edt(~is_open, return_distances=False, return_indices=True))
+    return grid[nearest[0], nearest[1]]

@@ -67,32 +67,24 @@ class Part:
 
 @dataclass(frozen=True)
 class Placement:
-    """A part and where its copies stand.
+    """A part and where its k copies stand.
 
-    Attributes:
-        part: Its triangles and paint.
-        offsets: Translation of every copy, metres.
-        headings: Angle by which every copy is turned about z before that, radians; None for none.
-        lit_at: Index of the copy whose light all copies wear.
+    Every copy is turned about z by its heading, radians, and then moved by its offset, metres. All wear the light of
+    the copy with the index `lit_at`.
     """
 
     part: Part
     offsets: Float64[np.ndarray, "k 3"]
-    headings: Float64[np.ndarray, " k"] | None = None
+    headings: Float64[np.ndarray, " k"] | float = 0.0
     lit_at: int = 0
 
 
 @dataclass(frozen=True)
 class Geometry:
-    """All parallelograms of a scene, and the charts (painted, lit surfaces) that they wear.
+    """All parallelograms of a scene, metres, world frame, and the charts (painted, lit surfaces) that they wear.
 
-    Attributes:
-        origin, edge_u, edge_v: The parallelograms, metres, world frame.
-        chart: Index of the chart each one wears.
-        cue: Which of them belong to a unique thing.
-        chart_quad: For each chart the parallelogram at which its light is computed.
-        chart_point: For each chart the origin of its parallelogram in the frame of the part.
-        materials: Material of each chart.
+    `cue` marks those of unique things. The light of a chart is computed at the parallelogram
+    `chart_quad`, whose origin in the frame of the part is `chart_point`.
     """
 
     origin: Float64[np.ndarray, "n 3"]
@@ -125,7 +117,7 @@ def assemble(placements: Sequence[Placement]) -> Geometry:
         part = placement.part
         local = np.stack([quad[0] for quad in part.quads])
         us, vs = np.stack([quad[1] for quad in part.quads]), np.stack([quad[2] for quad in part.quads])
-        headings = np.zeros(len(placement.offsets)) if placement.headings is None else placement.headings
+        headings = np.broadcast_to(placement.headings, len(placement.offsets))
         for offset, heading in zip(placement.offsets, headings, strict=True):
             cos, sin = np.cos(heading), np.sin(heading)
             turn = np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]])  # of row vectors

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import cache
+from collections.abc import Sequence
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -12,12 +11,11 @@ from jaxtyping import Bool, Float32, Int32, Int64
 
 from filtering.se3 import Poses
 from sequences.frame import Camera
-from sequences.rendering.light import Sampling, bake_light
+from sequences.rendering.light import USUAL, Sampling, bake_light
 from sequences.rendering.mesh import Geometry, Placement, Tracer, assemble
 from sequences.rendering.texture import Canvas
 
 
-@dataclass(frozen=True)
 class LitScene:
     """A scene in which any ray's colour is one look-up.
 
@@ -27,64 +25,44 @@ class LitScene:
         normals: Unit normal of each parallelogram.
         start, rows, columns: First texel and size of the chart that each parallelogram wears.
         gloss: Fraction of the Fresnel reflection that each parallelogram mirrors.
-        light: Paints and lights the scene when it is first called, and gives `radiance`.
     """
 
-    geometry: Geometry
-    tracer: Tracer
     normals: Float32[np.ndarray, "n 3"]
     start: Int32[np.ndarray, " n"]
     rows: Int32[np.ndarray, " n"]
     columns: Int32[np.ndarray, " n"]
     gloss: Float32[np.ndarray, " n"]
-    light: Callable[[], Float32[np.ndarray, "texels 3"]]
 
-    @property
+    def __init__(self, placements: Sequence[Placement], *, seed: int, sampling: Sampling = USUAL) -> None:
+        """Place the parts; the seed is of stains, grain and light samples."""
+        self.geometry = geometry = assemble(placements)
+        self.tracer = Tracer(geometry)
+        self.normals = geometry.normals().astype(np.float32)
+        self._seed, self._sampling, self._sizes = seed, sampling, chart_sizes(geometry)
+        start = np.concatenate([[0], np.cumsum(self._sizes.prod(axis=1))])[:-1].astype(np.int32)
+        self.start = start[geometry.chart]
+        self.rows, self.columns = self._sizes[geometry.chart].T
+        self.gloss = np.array([material.gloss for material in geometry.materials], np.float32)[geometry.chart]
+
+    @cached_property
     def radiance(self) -> Float32[np.ndarray, "texels 3"]:
-        """All texels of all charts, linear; where only geometry is asked for they are never computed."""
-        return self.light()
+        """All texels: every chart painted, times the light that falls on it or that it gives off.
 
-
-def build_scene(placements: Sequence[Placement], *, seed: int, sampling: Sampling | None = None) -> LitScene:
-    """A scene whose charts are painted and lit when its colours are first asked for.
-
-    Args:
-        placements: The parts of the scene.
-        seed: Of stains, grain and light samples.
-        sampling: Of light; None for the defaults.
-    """
-    geometry = assemble(placements)
-    tracer = Tracer(geometry)
-    size = chart_sizes(geometry)
-    start = np.concatenate([[0], np.cumsum(size.prod(axis=1))])[:-1].astype(np.int32)
-    gloss = np.array([material.gloss for material in geometry.materials], np.float32)
-    return LitScene(
-        geometry=geometry,
-        tracer=tracer,
-        normals=geometry.normals().astype(np.float32),
-        start=start[geometry.chart],
-        rows=size[geometry.chart, 0],
-        columns=size[geometry.chart, 1],
-        gloss=gloss[geometry.chart],
-        light=cache(lambda: _lit(geometry, tracer, seed, sampling)),
-    )
-
-
-def _lit(geometry: Geometry, tracer: Tracer, seed: int, sampling: Sampling | None) -> np.ndarray:
-    """All texels: every chart painted, times the light that falls on it or that it gives off."""
-    rng = np.random.default_rng(seed)
-    size = chart_sizes(geometry)
-    painted = [_paint(geometry, chart, size[chart], rng) for chart in range(len(geometry.materials))]
-    mean = np.stack([texels.reshape(-1, 3).mean(axis=0) for texels in painted]).astype(np.float64)
-    emission = np.array([material.emission for material in geometry.materials])
-    reflectance = np.where(emission[:, None] > 0, 0.0, mean)
-    light = bake_light(geometry, tracer, reflectance, mean * emission[:, None], rng=rng, sampling=sampling)
-    for chart, texels in enumerate(painted):
-        if emission[chart] > 0:
-            texels *= np.float32(emission[chart] * geometry.materials[chart].glare)
-        else:
-            texels *= _enlarge(light.of_chart(chart), texels.shape[0], texels.shape[1])
-    return np.concatenate([texels.reshape(-1, 3) for texels in painted])
+        They are computed when they are first asked for, which they are not where only geometry is.
+        """
+        geometry, rng = self.geometry, np.random.default_rng(self._seed)
+        painted = [_paint(geometry, chart, size, rng) for chart, size in enumerate(self._sizes)]
+        mean = np.stack([texels.reshape(-1, 3).mean(axis=0) for texels in painted]).astype(np.float64)
+        emission = np.array([material.emission for material in geometry.materials])
+        reflectance = np.where(emission[:, None] > 0, 0.0, mean)
+        emitted = mean * emission[:, None]
+        light = bake_light(geometry, self.tracer, reflectance, emitted, rng=rng, sampling=self._sampling)
+        for material, texels, grid in zip(geometry.materials, painted, light, strict=True):
+            if material.emission > 0:
+                texels *= np.float32(material.emission * material.glare)
+            else:
+                texels *= _enlarge(grid, texels.shape[0], texels.shape[1])
+        return np.concatenate([texels.reshape(-1, 3) for texels in painted])
 
 
 def chart_sizes(geometry: Geometry) -> Int32[np.ndarray, "m 2"]:

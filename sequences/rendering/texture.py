@@ -14,11 +14,8 @@ from jaxtyping import Float32, Float64
 class Canvas:
     """One surface to paint, as a grid of texels.
 
-    Attributes:
-        x, y: Distances in metres from the surface's origin along its two edges, at the texel centres.
-        width_m, height_m: Size of the surface.
-        origin, along_u, along_v: The surface in the frame of its part: origin and unit edges.
-        rng: Source of stains and grain.
+    x and y are distances in metres from the surface's origin along its two edges, at the texel centres. The origin and
+    the unit edges are in the frame of the part. The generator draws stains and grain.
     """
 
     x: Float32[np.ndarray, "1 w"]
@@ -57,13 +54,9 @@ class Canvas:
 class Material:
     """Paint and optical properties of a surface.
 
-    Attributes:
-        paint: Canvas -> linear reflectance (h, w, 3); times `emission`, the light given off.
-        emission: Radiance of a surface painted white, 0 for all but lamps, skies and signs.
-        glare: Fraction of the emission that a camera sees when it looks at the surface itself: louvres and panes shield
-            it, and small cameras cannot take all of it.
-        gloss: Fraction of the Fresnel reflection that is mirror-like, 0 for matt.
-        texel_m: Size of a texel.
+    Paint is linear reflectance (h, w, 3); times `emission`, the light of lamps, skies and signs. A camera that looks at
+    these sees the fraction `glare` of it: louvres and panes shield it, and small cameras cannot take all. Gloss is the
+    fraction of the Fresnel reflection that is mirror-like.
     """
 
     paint: Callable[[Canvas], np.ndarray]
@@ -92,6 +85,11 @@ def band(value: np.ndarray, low: float, high: float, softness: float = 0.004) ->
 def inside(canvas: Canvas, x0: float, y0: float, x1: float, y1: float) -> np.ndarray:
     """1 inside a rectangle of the canvas, metres, 0 outside."""
     return band(canvas.x, x0, x1) * band(canvas.y, y0, y1)
+
+
+def rim(canvas: Canvas, width_m: float) -> np.ndarray:
+    """1 along the edges of the canvas, 0 further inside."""
+    return 1 - inside(canvas, width_m, width_m, canvas.width_m - width_m, canvas.height_m - width_m)
 
 
 def weathered(canvas: Canvas, base: np.ndarray, amount: float = 0.05) -> np.ndarray:

@@ -15,11 +15,9 @@ from filtering.se3 import Poses
 from sequences.paths import STEP_S, eased, rotations, wander
 from sequences.rendering import texture
 from sequences.rendering.mesh import Part, Placement
-from sequences.rendering.texture import Canvas, Material, band, blend, inside, plain, weathered
+from sequences.rendering.texture import Canvas, Material, band, blend, inside, plain, rim, weathered
 from sequences.scenes.scene import HELMET, Scene
 
-DISTINCT = 1.0
-"""Strength of colour changes along the walls, and of dirt; at 0 boards and ends alone differ."""
 LENGTH, WIDTH, HEIGHT = 75.0, 2.4, 2.6  # metres, x, y, z
 NUM_FLOORS, FLOOR_HEIGHT = 2, 3.2
 BAY, LAMP_SPACING = 3.0, 5.0  # from frame to frame, from lamp to lamp
@@ -46,7 +44,7 @@ def _tint(x: np.ndarray, high_y: bool) -> np.ndarray:
     """The colour of a wall at places x in metres, as a factor (..., 3)."""
     phase = np.random.default_rng([5, high_y]).uniform(0, 2 * np.pi, (3, 2))
     waves = [0.7 * np.sin(2 * np.pi * x / 53.0 + a) + 0.5 * np.sin(2 * np.pi * x / 19.0 + b) for a, b in phase]
-    return np.exp(0.55 * DISTINCT * np.stack(waves, axis=-1)).astype(np.float32)
+    return np.exp(0.55 * np.stack(waves, axis=-1)).astype(np.float32)
 
 
 def _wall(canvas: Canvas, bay: int, high_y: bool) -> np.ndarray:
@@ -59,7 +57,7 @@ def _wall(canvas: Canvas, bay: int, high_y: bool) -> np.ndarray:
     oil = weathered(shared, shared.colour((0.30, 0.32, 0.30)), 0.05) * factor
     base = blend(oil, base, texture.step(z, 1.0))
     dirt = 0.35 * np.clip(own.noise(0.5, 0.3) - 0.9, 0, 1) + 0.7 * np.clip(own.noise(0.2, 0.02) - 1.9, 0, 1)
-    base = blend(base, (0.10, 0.09, 0.08), DISTINCT * dirt * band(z, 0.1, 1.6, 0.5))
+    base = blend(base, (0.10, 0.09, 0.08), dirt * band(z, 0.1, 1.6, 0.5))
     base = blend(base, (0.16, 0.12, 0.09), band(z, 0.93, 1.05))
     return blend(base, (0.07, 0.07, 0.07), band(z, -0.01, 0.1))
 
@@ -84,8 +82,7 @@ def _sheets(canvas: Canvas, colour: tuple[float, float, float]) -> np.ndarray:
         lines = inside(canvas, x0 + 0.02, y0 + 0.03, x1 - 0.02, y1 - 0.05) * (np.sin(canvas.y * 2 * np.pi / 0.04) > 0.2)
         base = blend(base, (0.75, 0.75, 0.72), inside(canvas, x0, y0, x1, y1))
         base = blend(base, (0.12, 0.12, 0.14), 0.7 * lines)
-    rim = 1 - inside(canvas, 0.03, 0.03, canvas.width_m - 0.03, canvas.height_m - 0.03)
-    return blend(base, (0.5, 0.5, 0.48), rim)
+    return blend(base, (0.5, 0.5, 0.48), rim(canvas, 0.03))
 
 
 def _mural(canvas: Canvas, which: int) -> np.ndarray:

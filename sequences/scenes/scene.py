@@ -10,9 +10,9 @@ import numpy as np
 
 from filtering.se3 import Poses
 from sequences.odometry import OdometryNoise
-from sequences.rendering.light import Sampling
+from sequences.rendering.light import USUAL, Sampling
 from sequences.rendering.mesh import Placement
-from sequences.rendering.render import LitScene, build_scene
+from sequences.rendering.render import LitScene
 
 SPLITS = {"train": 1, "test": 2}
 """The number of each split, in seeds."""
@@ -22,21 +22,15 @@ SPLITS = {"train": 1, "test": 2}
 class Scene:
     """A synthetic scene, and how sequences are recorded in it.
 
+    Its parts depend on the split and seed of a walk where it `changes`. The path is poses of the body every 20 ms, by
+    duration in seconds, split, seed and generator. The field of view is horizontal; rate and noise are defaults.
+
     Attributes:
-        name: For `find_scene`.
         seed_numbers: Distinguish the random numbers of its walks from those of other scenes. Never changed: path,
             odometry and sensor noise of every seed follow from them.
-        placements: Its parts, by split and seed of a walk.
-        path: Poses of the body every 20 ms for a duration in seconds, a split, a seed and a generator.
-        field_of_view_deg: Of the camera, horizontal.
-        base_from_camera: One pose, the extrinsics.
         has_cues: Whether anything in it is unique, so that a camera can find its place.
-        rate_hz: Default number of images a second.
-        noise: Default noise of odometry.
         storey_height_m: From floor to floor along z where all floors look alike from end to end; None elsewhere.
-        changes: Whether its parts or its light differ from walk to walk.
         paint_seed: Of stains, grain and light samples.
-        sampling: Of light; None for the defaults.
     """
 
     name: str
@@ -51,7 +45,7 @@ class Scene:
     storey_height_m: float | None = None
     changes: bool = False
     paint_seed: int = 0
-    sampling: Sampling | None = None
+    sampling: Sampling = USUAL
 
     def build(self, split: str, seed: int) -> LitScene:
         """The scene on one walk, ready to be rendered; built once per process where it never changes."""
@@ -60,16 +54,12 @@ class Scene:
 
 @cache
 def _on_all_walks(scene: Scene) -> LitScene:
-    return _built(scene, "test", 0)
+    return LitScene(scene.placements("test", 0), seed=scene.paint_seed, sampling=scene.sampling)
 
 
 @lru_cache(maxsize=2)  # a large building takes some hundreds of megabytes
 def _on_one_walk(scene: Scene, split: str, seed: int) -> LitScene:
-    return _built(scene, split, seed)
-
-
-def _built(scene: Scene, split: str, seed: int) -> LitScene:
-    return build_scene(scene.placements(split, seed), seed=scene.paint_seed, sampling=scene.sampling)
+    return LitScene(scene.placements(split, seed), seed=scene.paint_seed, sampling=scene.sampling)
 
 
 def mounted(at_m: tuple[float, float, float], toward: float, down: float) -> Poses:

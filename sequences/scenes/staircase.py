@@ -10,7 +10,8 @@ from filtering.se3 import Poses
 from sequences.paths import STEP_S, eased, eased_angle, rotations, wander
 from sequences.rendering import texture
 from sequences.rendering.mesh import Part, Placement
-from sequences.rendering.texture import Canvas, Material, band, blend, inside, plain, weathered
+from sequences.rendering.texture import Canvas, Material, band, blend, inside, plain, rim, weathered
+from sequences.scenes.lines import distances_along, points_at, resampled
 from sequences.scenes.scene import HELMET, Scene
 from sequences.scenes.stairwell import (
     ACROSS,
@@ -66,9 +67,7 @@ def _notices(canvas: Canvas) -> np.ndarray:
         base = blend(base, rgb, sheet)
         lines = (np.sin(canvas.y * 2 * np.pi / 0.03) > 0.2) & (canvas.noise(0.03, 0.015) > -0.4)
         base = blend(base, (0.08, 0.08, 0.1), inside(canvas, x0 + 0.02, y0 + 0.03, x1 - 0.02, y1 - 0.06) * lines * 0.8)
-    return blend(
-        base, (0.5, 0.5, 0.48), 1 - inside(canvas, 0.025, 0.025, canvas.width_m - 0.025, canvas.height_m - 0.025)
-    )
+    return blend(base, (0.5, 0.5, 0.48), rim(canvas, 0.025))
 
 
 def _letter_boxes(canvas: Canvas) -> np.ndarray:
@@ -92,9 +91,7 @@ def _street(canvas: Canvas) -> np.ndarray:
 
 def _mat(canvas: Canvas) -> np.ndarray:
     base = canvas.colour((0.23, 0.035, 0.03)) * np.clip(1 + 0.25 * canvas.noise(0.012), 0.2, 2)[..., None]
-    return blend(
-        base, (0.03, 0.03, 0.03), 1 - inside(canvas, 0.05, 0.05, canvas.width_m - 0.05, canvas.height_m - 0.05)
-    )
+    return blend(base, (0.03, 0.03, 0.03), rim(canvas, 0.05))
 
 
 def _brick(canvas: Canvas) -> np.ndarray:
@@ -177,7 +174,8 @@ def walk_stairs(duration_s: float, *, rng: np.random.Generator) -> Poses:
 
     Starts anywhere, either way; pauses, looks about, now and then turns round; sways and bobs with every step.
     """
-    line, length = _stair_line()
+    line = _stair_line()
+    length = float(distances_along(line)[-1])
     steps = int(np.ceil(duration_s / STEP_S)) + 1
     place = np.empty(steps)
     walking = np.empty(steps)
@@ -196,8 +194,7 @@ def walk_stairs(duration_s: float, *, rng: np.random.Generator) -> Poses:
         place[i], walking[i], ways[i] = s, abs(speed), way
 
     def at(distance: np.ndarray) -> np.ndarray:
-        sample = np.clip(distance, 0, length)
-        return np.stack([np.interp(sample, line[:, 3], line[:, axis]) for axis in range(3)], axis=-1)
+        return points_at(line, np.clip(distance, 0, length))
 
     here = at(place)
     tangent = at(place + 0.1) - at(place - 0.1)
@@ -220,8 +217,8 @@ def walk_stairs(duration_s: float, *, rng: np.random.Generator) -> Poses:
     return Poses(rotations(yaw, pitch, roll), here)
 
 
-def _stair_line() -> tuple[Float64[np.ndarray, "n 4"], float]:
-    """The line of a person's feet, from the entrance to the top: x, y, z and the distance walked; and its length."""
+def _stair_line() -> Float64[np.ndarray, "n 3"]:
+    """The line of a person's feet, from the entrance to the top."""
     low_y, high_y = WIDTH / 2, ACROSS - WIDTH / 2
     radius, middle = (high_y - low_y) / 2, ACROSS / 2
     near, far = LANDING, LANDING + FLIGHT
@@ -235,14 +232,7 @@ def _stair_line() -> tuple[Float64[np.ndarray, "n 4"], float]:
         if level < NUM_FLOORS - 2:
             points += [(near - 0.1 - radius * np.cos(a), middle - radius * np.sin(a), z + FLOOR_HEIGHT) for a in turn]
     points.append((0.75, middle + 0.4, (NUM_FLOORS - 1) * FLOOR_HEIGHT))
-    rough = np.array(points)
-    walked = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(rough, axis=0), axis=1))])
-    fine = np.arange(0, walked[-1], 0.02)
-    line = np.stack(
-        [gaussian_filter1d(np.interp(fine, walked, rough[:, a]), 8, mode="nearest") for a in range(3)], axis=1
-    )
-    distance = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
-    return np.column_stack([line, distance]), float(distance[-1])
+    return gaussian_filter1d(resampled(np.array(points), 0.02), 8, axis=0, mode="nearest")
 
 
 def _placements() -> list[Placement]:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from filtering.motion import MotionNoise, Odometry, accumulated
+from filtering.motion import Odometry, WhiteNoise, accumulated
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
 
@@ -73,7 +73,7 @@ def odometry_between(
     end_ns: int,
     *,
     base_from_camera: Poses,
-    motion_noise: MotionNoise,
+    motion_noise: WhiteNoise,
 ) -> Odometry:
     """Motion of the camera between two times that the odometry covers.
 

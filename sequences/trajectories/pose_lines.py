@@ -35,8 +35,7 @@ def fields_of(line: str) -> list[str]:
 def pose_rows(path: Path) -> Iterator[tuple[int, str]]:
     """Lines of a file of poses with their numbers, without comments and without a first line that is a header.
 
-    Raises:
-        SequenceError: as `read_lines`.
+    Raises SequenceError as `read_lines`.
     """
     for place, (number, line) in enumerate(read_rows(path)):
         fields = fields_of(line) if place == 0 else []
@@ -58,16 +57,10 @@ def read_increasing(
     rows: Rows,
     read: Callable[[str, str], tuple[int, list[float]]],
 ) -> tuple[Int64[np.ndarray, " n"], Float64[np.ndarray, "n 7"]]:
-    """Stamps that increase, and rows `tx ty tz qx qy qz qw`.
+    """Stamps that increase, and rows `tx ty tz qx qy qz qw`, of numbered lines.
 
-    Args:
-        path: The file.
-        lines: Its lines, with their numbers.
-        rows: Counts those that cannot be used; of stamps that do not increase those that most others disagree with.
-        read: The stamp, ns, and the row of a line; it takes the line, and what messages of errors begin with.
-
-    Raises:
-        SequenceError: as `Rows`.
+    `read` gives the stamp, ns, and the row of a line; it takes the line and the beginning of errors. Of stamps that do
+    not increase those are unusable that most others disagree with. Raises SequenceError as `Rows`.
     """
     numbers: list[int] = []
     times_ns: list[int] = []
@@ -127,10 +120,7 @@ class Columns:
     """Which column holds what: `time` or `name`, the seven of a pose, perhaps `weight`; `_` for what is ignored.
 
     A time is in seconds, or in nanoseconds where it has 18 or 19 digits and no dot. Names, as fields, are separated by
-    spaces, commas or semicolons.
-
-    Raises:
-        SequenceError: a name is another, is there twice, or is missing.
+    spaces, commas or semicolons. Raises SequenceError where a name is another, is there twice, or is missing.
     """
 
     text: str
@@ -173,8 +163,8 @@ class Columns:
     def pose(self, fields: dict[str, str], where: str) -> list[float]:
         """`tx ty tz qx qy qz qw` of a line, the quaternion of any length.
 
-        Raises:
-            SequenceError: one is no number or not finite or beyond what a pose has, or the quaternion has no length.
+        Raises SequenceError where one is no number or not finite or beyond what a pose has, or the quaternion has no
+        length.
         """
         row = parse_numbers([fields[name] for name in _POSE], where, f"those of `{self.text}`")
         return usable_pose(row, where, self.text)

@@ -24,19 +24,16 @@ COLUMNS_OPTIONS = "--columns; --poses-columns of a recording; --odometry-columns
 _MAX_ERROR = 0.01  # of a unit quaternion's length, and of a rotation's elements; beyond, these are other numbers
 
 
-def read_pose_table(
-    path: Path, times: Path | None = None, rows: Rows | None = None, columns: str | None = None
-) -> Trajectory:
+def read_pose_table(path: Path, rows: Rows | None = None, columns: str | None = None) -> Trajectory:
     """Read poses of a body over time, in one of three formats, found by the first line, or by the names of its columns.
 
     TUM: `time tx ty tz qx qy qz qw`, seconds. EuRoC: with commas, nanoseconds, position, quaternion with w first,
-    further columns ignored. KITTI: the upper three rows of a matrix in one line; their times, in seconds, are lines of
-    a file of its own. Others: as `Columns` states them, frames by time or by names that are stamps. Lines that start
-    with # are comments.
+    further columns ignored. KITTI: the upper three rows of a matrix in one line; their times, in seconds, are the lines
+    of `times.txt` in the same folder. Others: as `Columns` states them, frames by time or by names that are stamps.
+    Lines that start with # are comments.
 
     Args:
         path: The file.
-        times: Times of KITTI's poses; None for `times.txt` in the same folder.
         rows: Counts the lines that cannot be used, which are left out; None where one of them is an error.
         columns: Names of the columns; None for one of the three formats.
 
@@ -51,14 +48,12 @@ def read_pose_table(
         raise SequenceError(f"{path}: no poses, expected TUM text, EuRoC's data.csv or KITTI's poses")
     number, line = usual
     found = len(fields_of(line))
-    if times is not None and (columns is not None or "," in line or found != 12):
-        raise SequenceError(f"{path}:{number}: not KITTI's poses, expected {_KITTI}, or no --poses-times with them")
     if columns is not None:
         return _trajectory(path, lines, rows, partial(_read_columns_row, Columns(columns)))
     if "," in line:
         return _trajectory(path, lines, rows, _read_euroc_row)
     if found == 12:
-        return _read_kitti(path, lines, Path(times) if times is not None else times_beside(path), rows)
+        return _read_kitti(path, lines, rows)
     if found == 8 and ";" not in line:
         return read_tum(path, rows)
     raise SequenceError(
@@ -98,12 +93,11 @@ def _read_columns_row(columns: Columns, line: str, where: str) -> tuple[int, lis
     return stamp_ns(fields["time" if columns.timed else "name"], where), columns.pose(fields, where)
 
 
-def _read_kitti(path: Path, lines: list[tuple[int, str]], times: Path, rows: Rows) -> Trajectory:
+def _read_kitti(path: Path, lines: list[tuple[int, str]], rows: Rows) -> Trajectory:
+    times = times_beside(path)
     matrices = [rows.use(_read_kitti_row, line, f"{path}:{number}") for number, line in rows.each(lines)]
     if not times.is_file():
-        raise SequenceError(
-            f"{times}: no such file, expected the times of {path.name}, or --poses-times that names them"
-        )
+        raise SequenceError(f"{times}: no such file, expected the times of {path.name}")
     stamped = list(read_rows(times))
     if len(stamped) != len(lines):
         raise SequenceError(f"{times}: {len(stamped)} times, expected {len(lines)} as there are poses in {path.name}")

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
-from filtering.motion import MotionNoise, Odometry
+from filtering.motion import Odometry, WhiteNoise
 from filtering.se3 import Poses
 from sequences.trajectories.interpolation import odometry_between, pose_at
 
@@ -122,12 +122,8 @@ class PoseWindow:
             self._count_jump(index)
 
     def reaches(self, time_ns: int) -> bool:
-        """Whether a pose at or after this time has come, and the steps that decide whether it is behind a jump."""
-        if not self._times_ns or self._times_ns[-1] < time_ns:
-            return False
-        after = bisect_left(self._times_ns, time_ns)
-        undecided = self.watch_jumps and self._times_ns[after] != time_ns and self._steps[after].is_large
-        return not undecided or after + JUMP_CONTEXT < len(self._times_ns)
+        """Whether a pose at or after this time has come."""
+        return bool(self._times_ns) and self._times_ns[-1] >= time_ns
 
     def forget_before(self, time_ns: int) -> None:
         """Drop what lies before the last pose that is at or before this time, but for the steps that decide on jumps.
@@ -196,7 +192,7 @@ class PoseWindow:
             self.first_jump_ns = self._times_ns[index] if self.first_jump_ns is None else self.first_jump_ns
 
     def odometry_between(
-        self, start_ns: int, end_ns: int, *, base_from_camera: Poses, motion_noise: MotionNoise
+        self, start_ns: int, end_ns: int, *, base_from_camera: Poses, motion_noise: WhiteNoise
     ) -> Odometry:
         """`odometry_between` two covered times, the first of which was not yet forgotten."""
         near = slice(bisect_right(self._times_ns, start_ns) - 1, bisect_left(self._times_ns, end_ns) + 1)

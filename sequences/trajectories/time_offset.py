@@ -89,16 +89,10 @@ def _find(odometry: Trajectory, poses: Trajectory, within_s: float, certain_s: f
 def offset_of_clocks(
     asked: float | Literal["auto"], odometry: Trajectory, poses: Trajectory, name: str
 ) -> tuple[float, list[str]]:
-    """Seconds to add to the stamps of poses as requested, and notices.
+    """Seconds to add to the stamps of poses for those of odometry, as asked or found by rotation; and notices.
 
-    Args:
-        asked: A number, or auto, which finds it by rotation.
-        odometry: The recording by whose clock the poses are wanted.
-        poses: The poses, by their own clock.
-        name: Name of the poses, in messages.
-
-    Raises:
-        SequenceError: it is to be found, but rotations do not determine it.
+    `name` is the name of the poses in messages. Raises SequenceError where rotations do not determine the offset that
+    is to be found.
     """
     if asked == "auto":
         try:

@@ -38,7 +38,6 @@ def read_tum(path: Path, rows: Rows | None = None) -> Trajectory:
 
 
 def _read_row(line: str, where: str) -> tuple[int, list[float]]:
-    """Stamp and pose of a line."""
     fields = line.split()
     if len(fields) != 8:
         raise SequenceError(f"{where}: {len(fields)} columns, expected the eight of `{_COLUMNS}`")
@@ -49,8 +48,7 @@ def _read_row(line: str, where: str) -> tuple[int, list[float]]:
 def write_tum(path: Path, trajectory: Trajectory) -> None:
     """Write a trajectory, whole or not at all; times to the nanosecond, poses to nine decimals.
 
-    Raises:
-        VaporTrackError: a pose is not finite.
+    Raises VaporTrackError where a pose is not finite.
     """
     require_sound(trajectory.poses)
     table = np.concatenate([trajectory.poses.translation, trajectory.poses.as_quat_xyzw()], axis=1)

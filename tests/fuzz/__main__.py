@@ -33,7 +33,7 @@ _FORK = multiprocessing.get_context("fork")
 
 @dataclass
 class Failure:
-    """Files that failed alike: how many, and the one that differs from the sample by the fewest bytes."""
+    """Files that failed alike: how many, and the first."""
 
     count: int
     number: int
@@ -46,15 +46,11 @@ class Tally:
 
     outcomes: Counter[Outcome] = field(default_factory=Counter)
     failures: dict[str, Failure] = field(default_factory=dict)
-    seconds: float = 0.0  # of a processor
 
     def add(self, number: int, verdict: Verdict) -> None:
         self.outcomes[verdict.outcome] += 1
         if verdict.outcome == "failure":
-            known = self.failures.setdefault(verdict.cause, Failure(0, number, verdict))
-            known.count += 1
-            if (verdict.size, number) < (known.verdict.size, known.number):
-                known.number, known.verdict = number, verdict
+            self.failures.setdefault(verdict.cause, Failure(0, number, verdict)).count += 1
 
 
 @dataclass
@@ -124,12 +120,11 @@ def _work(connection: Connection, name: str, numbers: range, seed: int, folder: 
     signal.setitimer(signal.ITIMER_REAL, _SETUP_S)  # SIGALRM ends a process that hangs, in C code too
     sample = Sample(name, folder)
     limit_memory()
-    connection.send((None, 0.0))
+    connection.send(None)
     for number in numbers:
         signal.setitimer(signal.ITIMER_REAL, HANG_S)
-        begin_s = time.process_time()
         verdict = sample.judge(*sample.changes(seed, number))
-        connection.send((verdict, time.process_time() - begin_s))
+        connection.send(verdict)
         if verdict.cause.startswith("memory"):
             sys.exit(_RESTART)  # the peak of a process only grows
 
@@ -137,7 +132,7 @@ def _work(connection: Connection, name: str, numbers: range, seed: int, folder: 
 def _has_ended(each: _Running, tally: Tally) -> bool:
     """Whether a process has ended; else its verdict is taken."""
     try:
-        verdict, took_s = each.connection.recv()
+        verdict = each.connection.recv()
     except EOFError:
         each.process.join()
         status = each.process.exitcode
@@ -151,7 +146,6 @@ def _has_ended(each: _Running, tally: Tally) -> bool:
         return True
     if each.ready:
         tally.add(each.numbers[0], verdict)
-        tally.seconds += took_s
         each.numbers = each.numbers[1:]
     each.ready = True
     return False
@@ -177,14 +171,13 @@ def rounds(names: Sequence[str], first: int, files: int | None) -> Iterator[tupl
 def report(tallies: dict[str, Tally], seed: int) -> str:
     """A table of the readers, and each failure with the command that repeats it."""
     outcomes = get_args(Outcome)
-    lines = ["| reader | files | a second | " + " | ".join(outcomes) + " |", "|---" * (3 + len(outcomes)) + "|"]
+    lines = ["| reader | files | " + " | ".join(outcomes) + " |", "|---" * (2 + len(outcomes)) + "|"]
     for name in sorted(tallies, key=[*READERS].index):
         tally = tallies[name]
         total = tally.outcomes.total()
-        rate = f"{total / tally.seconds:.0f}" if tally.seconds else ""
-        lines.append(f"| {name} | {total} | {rate} | " + " | ".join(str(tally.outcomes[o]) for o in outcomes) + " |")
+        lines.append(f"| {name} | {total} | " + " | ".join(str(tally.outcomes[o]) for o in outcomes) + " |")
     sums = sum((tally.outcomes for tally in tallies.values()), Counter())
-    lines.append(f"| all | {sums.total()} | | " + " | ".join(str(sums[o]) for o in outcomes) + " |")
+    lines.append(f"| all | {sums.total()} | " + " | ".join(str(sums[o]) for o in outcomes) + " |")
     for name, tally in tallies.items():
         for cause, failure in sorted(tally.failures.items(), key=lambda item: -item[1].count):
             v = failure.verdict

@@ -41,14 +41,12 @@ class Verdict:
         cause: Of a failure: what happened and where; the same for all files that fail alike.
         details: Of a failure.
         damage: What was done to the file.
-        size: Of a failure, how many bytes differ from the sample.
     """
 
     outcome: Outcome
     cause: str = ""
     details: str = ""
     damage: str = ""
-    size: int = 0
 
 
 class Sample:
@@ -102,10 +100,7 @@ class Sample:
                 outcome, details = "failure", str(w.message)
             if _status_bytes("VmPeak") - peak > _MOST_MEMORY:
                 outcome, cause = "failure", "memory: over 2 GB"
-        if outcome != "failure":
-            return Verdict(outcome, damage=damage)
-        size = sum(_difference(self.files[name], data or b"") for name, data in changes.items())
-        return Verdict(outcome, cause, details[:400], damage, size)
+        return Verdict(outcome, cause, details[:400], damage)
 
     def _read(self) -> tuple[Outcome, str, str]:
         try:
@@ -183,17 +178,6 @@ def keep(sample: Sample, changes: Changes, verdict: Verdict) -> bool:
         return False
     _CORPUS.write_text("".join(f"{each}\n" for each in [*known, line]), encoding="ascii")
     return True
-
-
-def _difference(one: bytes, other: bytes) -> int:
-    """How many bytes remain between the first and the last that differ."""
-    begin = _alike(one, other)
-    return max(len(one), len(other)) - begin - _alike(one[begin:][::-1], other[begin:][::-1])
-
-
-def _alike(one: bytes, other: bytes) -> int:
-    differs = (i for i, (a, b) in enumerate(zip(one, other, strict=False)) if a != b)
-    return next(differs, min(len(one), len(other)))
 
 
 # --- memory and errors -----------------------------------------------------------------------------

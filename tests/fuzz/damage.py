@@ -68,9 +68,9 @@ def damaged_text(data: bytes, rng: Rng) -> tuple[bytes, str]:
     """Lines and words: lost, repeated, in another order, or others in their place."""
     text = data.decode("utf-8", "surrogateescape")
     kind = int(rng.integers(10))
-    if kind < 6 and (words := [*re.finditer(r"[^\s,;:\[\]{}\"']+", text)]):
+    if kind < 5 and (words := [*re.finditer(r"[^\s,;:\[\]{}\"']+", text)]):
         found = pick(rng, words)
-        word = pick(rng, WORDS) if kind < 5 else damaged_word(found[0], rng)
+        word = pick(rng, WORDS)
         changed = text[: found.start()] + word + text[found.end() :]
         note = f"{short(found[0])} became {short(word)}"
     elif kind < 9 and (lines := text.splitlines(keepends=True)):
@@ -88,12 +88,6 @@ def damaged_text(data: bytes, rng: Rng) -> tuple[bytes, str]:
     else:
         return damaged_bytes(data, rng)
     return changed.encode("utf-8", "surrogatepass" if "\ud800" in changed else "surrogateescape"), note
-
-
-def damaged_word(word: str, rng: Rng) -> str:
-    """A slip of the keyboard."""
-    at = int(rng.integers(len(word) + 1))
-    return pick(rng, (word[:at] + word[at + 1 :], f"{word[:at]}{pick(rng, '0123456789.-e+')}{word[at:]}", f"-{word}"))
 
 
 def damaged_json(data: bytes, rng: Rng) -> tuple[bytes, str]:

@@ -13,8 +13,7 @@ from mcap.writer import CompressionType
 
 from filtering.se3 import Poses
 from sequences.datasets.frames import posed_frames
-from sequences.estimates.options import EstimateOptions
-from sequences.estimates.sequence import EstimateSequence
+from sequences.estimates.sequence import EstimateOptions, EstimateSequence
 from sequences.frame import Trajectory
 from sequences.options import OdometryUse, SequenceOptions
 from sequences.reader import SequenceReader

@@ -1,6 +1,6 @@
 """Views of cameras in a rendered scene, and of a pattern with and without lens distortion."""
 
-from dataclasses import replace
+from copy import copy
 
 import cv2
 import numpy as np
@@ -23,7 +23,9 @@ def picture(scene: LitScene, camera: Camera, pose: Poses) -> np.ndarray:
 
 def matt(scene: LitScene) -> LitScene:
     """The scene without its glossy reflections, which scatter at random."""
-    return replace(scene, gloss=np.zeros_like(scene.gloss))
+    found = copy(scene)
+    found.gloss = np.zeros_like(scene.gloss)
+    return found
 
 
 def fraction_that_differs(first: np.ndarray, second: np.ndarray) -> float:

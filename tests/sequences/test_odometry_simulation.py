@@ -77,14 +77,6 @@ def test_errors_over_a_tenth_of_a_second_are_slightly_smaller_than_stated():
     assert (ratio > 0.4).all(), ratio
 
 
-def test_stated_covariance_is_honest_where_drift_dominates_white_noise():
-    drifting = OdometryNoise(0.05, 0.05, 0.02, 30.0, 1e-4, 1e-4)
-    errors, stated = errors_over(5, 400, drifting)
-    ratio = (errors**2).mean(axis=0) / stated.diagonal(axis1=1, axis2=2).mean(axis=0)
-    assert (ratio[[0, 1, 2, 5]] < 1.0).all(), ratio  # within the scatter of 400 draws of what is constant in a run
-    assert (ratio[[0, 1, 2, 5]] > 0.4).all(), ratio
-
-
 def test_drift_after_a_walk_is_some_per_cent_of_it_and_some_degrees():
     true = walk(turn=0.05)
     relative, turned = [], []
@@ -95,12 +87,6 @@ def test_drift_after_a_walk_is_some_per_cent_of_it_and_some_degrees():
         turned.append(np.degrees(angle))
     assert 0.01 < np.median(relative) < 0.06
     assert 1.0 < np.median(turned) < 5.0
-
-
-def test_the_same_seed_drifts_the_same_way_and_another_one_another_way():
-    runs = [simulate_odometry(TIMES_NS, walk(), OdometryNoise(), rng=np.random.default_rng(s))[0] for s in (1, 1, 2)]
-    np.testing.assert_array_equal(runs[0].translation, runs[1].translation)
-    assert np.abs(runs[0].translation - runs[2].translation).max() > 0.01
 
 
 def test_stamps_that_do_not_increase_or_are_not_as_many_as_the_poses_are_refused():

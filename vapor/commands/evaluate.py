@@ -56,8 +56,6 @@ def evaluate_directory(
     if columns is not None and ground_truth is None:
         raise VaporTrackError("--columns without --ground-truth, expected a file that has them")
     require_columns("--columns", columns)
-    if not directory.is_dir():
-        raise VaporTrackError(f"{directory}: no such directory, expected one that `vapor-track run` wrote")
     if not (directory / FILES["filter"]).is_file():
         raise VaporTrackError(
             f"{directory}: no {FILES['filter']} in it, expected a directory that `vapor-track run` wrote"
@@ -65,8 +63,7 @@ def evaluate_directory(
     verify(directory, [*FILES.values(), *([_TRUTH] if ground_truth is None else [])])
     truth_path = directory / _TRUTH if ground_truth is None else ground_truth
     if not truth_path.is_file():
-        hint = "; give the true poses with --ground-truth FILE" if ground_truth is None else ""
-        raise VaporTrackError(f"{truth_path}: no such file, expected true poses as TUM text{hint}")
+        raise VaporTrackError(f"{truth_path}: no such file, expected true poses; --ground-truth names their file")
     rows = Rows("true poses")
     truth = read_pose_table(truth_path, rows=rows, columns=columns)
     methods = {name: read_tum(directory / file) for name, file in FILES.items() if (directory / file).is_file()}

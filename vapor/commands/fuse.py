@@ -9,7 +9,7 @@ from typing import Annotated
 
 import tyro
 
-from sequences.estimates.options import EstimateOptions
+from sequences.estimates.sequence import EstimateOptions
 from vapor.commands.console import OutputPath, Overwrite, command_line, parse, usage_error
 from vapor.commands.progress import progress
 from vapor.commands.run import show_run

@@ -2,30 +2,46 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeAlias
 
+import numpy as np
 import tyro
+from rich.table import Table
 
-from filtering.errors import VaporTrackError, shortened
+from filtering.errors import shortened
 from sequences.datasets.points import scene_points
 from sequences.frame import Frame
 from sequences.options import SequenceOptions
 from sequences.outputs import results_folder
+from sequences.reading.counts import ImageCounts
 from vapor.checkpoints.file_format import find_model
-from vapor.commands.console import OutputPath, Overwrite, command_line, parse, show, usage_error
-from vapor.commands.inspect_tables import parts, show_inspection
+from vapor.commands.console import (
+    OutputPath,
+    Overwrite,
+    command_line,
+    count_images,
+    parse,
+    show,
+    show_notices,
+    skipped_lines,
+    usage_error,
+)
 from vapor.commands.progress import progress
-from vapor.commands.terminal import write
 from vapor.engines.engine import Device, EngineConfig
+from vapor.inspection.camera import CameraCheck
+from vapor.inspection.clocks import ImageClock
+from vapor.inspection.coverage import Coverage
 from vapor.inspection.inspect import Inspection, inspect
 from vapor.inspection.picture import draw_map
+from vapor.inspection.predictions import Predictions
 from vapor.inspection.recording import record_coverage
+from vapor.inspection.walk import Walk
 from vapor.observation import VaporObservationModel
 from vapor.reporting.html.page import Page, findings_page, write_page
 from vapor.reporting.record import EvenlySpaced
@@ -36,6 +52,11 @@ from vapor.training_data.entries import files_read, name_entries
 _MAP, _RECORDING, _REPORT, _PAGE = "map.png", "recording.rrd", "report.json", "report.html"
 _MOST_PHOTOGRAPHS = 150  # Rerun keeps each apart, and of more in one place all are selected
 _FILES = (_MAP, _RECORDING, _REPORT, _PAGE)
+_SAMPLES = 300  # of a posterior
+_NAMED = 8  # of a kind, at most
+
+Part: TypeAlias = tuple[str, Sequence[Table | str]]
+"""A heading, and a table or lines."""
 
 
 @dataclass(frozen=True)
@@ -53,20 +74,10 @@ class Options:
     recording: bool = True
     """Write recording.rrd for the Rerun viewer: where the cameras were, and where the model puts them."""
     overwrite: Overwrite = False
-    json: bool = False
-    """Print the report as JSON instead."""
-    num_samples: int = 300
-    """Posterior samples an image, with a model."""
-    seed: int = 0
-    """Of the samples."""
     device: Device = "auto"
     """Where the network runs."""
     network: Annotated[EngineConfig, tyro.conf.arg(name="")] = field(default_factory=EngineConfig)
     reading: Annotated[SequenceOptions, tyro.conf.arg(name="")] = field(default_factory=SequenceOptions)
-
-    def __post_init__(self) -> None:
-        if self.seed < 0:
-            raise VaporTrackError(f"seed is {self.seed}, expected a number from 0")
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -77,12 +88,9 @@ def main(arguments: Sequence[str]) -> None:
     with _outputs(o) as directory:
         model = None
         if o.model is not None:
+            engine, precision = o.network.engine, o.network.precision
             model = VaporObservationModel.from_checkpoint(
-                o.model,
-                num_samples=o.num_samples,
-                device=o.device,
-                engine=o.network.engine,
-                precision=o.network.precision,
+                o.model, num_samples=_SAMPLES, device=o.device, engine=engine, precision=precision
             )
         photographs: EvenlySpaced[Photograph] = EvenlySpaced(_MOST_PHOTOGRAPHS)
 
@@ -91,10 +99,10 @@ def main(arguments: Sequence[str]) -> None:
                 photographs.add(lambda: Photograph.of(frame, SMALL_SIDE))
 
         with progress() as shown:
-            found = inspect(o.data, o.reading, model=model, seed=o.seed, see=see, progress=shown.at)
+            found = inspect(o.data, o.reading, model=model, see=see, progress=shown.at)
         if directory is not None:
             if found.coverage is not None:
-                draw_map(directory / _MAP, found.coverage, found.predictions)
+                draw_map(directory / _MAP, found.coverage)
                 if o.recording:
                     points = [scene_points(path) for path, _ in name_entries(o.data).values()]
                     record_coverage(
@@ -106,10 +114,7 @@ def main(arguments: Sequence[str]) -> None:
                     )
             write_report(directory / _REPORT, found.as_json())
             write_page(directory / _PAGE, _page(found, o, directory / _MAP, command_line("inspect", arguments)))
-    if o.json:
-        write(json.dumps(found.as_json(), indent=2, sort_keys=True, allow_nan=False))
-        return
-    show_inspection(found)
+    _show_parts(found)
     if o.output is not None:
         for name in (_MAP,) * (found.coverage is not None) + (_REPORT, _PAGE):
             show(f"{o.output / name}")
@@ -120,13 +125,12 @@ def main(arguments: Sequence[str]) -> None:
 def _page(found: Inspection, o: Options, picture: Path, command: str) -> Page:
     *found_parts, _ = parts(found)  # the last is the verdict
     seen = [("From above", [picture])] if found.coverage is not None else []
-    tables = [(part.title, [*([] if part.table is None else [part.table]), *part.lines]) for part in found_parts]
     asked = "Was it recorded well enough to train on, and what to record again?"
     first, *others = found.verdict
     rest = [("What else to do", [f"{number}. {sentence}" for number, sentence in enumerate(others, 2)])]
     title = ", ".join(Path(entry).name for entry in o.data)
     return findings_page(
-        shortened(title, 100), asked, f"{first[0].upper()}{first[1:]}.", [*rest, *seen, *tables], command=command
+        shortened(title, 100), asked, f"{first[0].upper()}{first[1:]}.", [*rest, *seen, *found_parts], command=command
     )
 
 
@@ -135,3 +139,162 @@ def _outputs(o: Options) -> AbstractContextManager[Path | None]:
         return nullcontext()
     reads = chain([] if o.model is None else [find_model(o.model)], files_read(o.data, o.reading))
     return results_folder(o.output, "inspect", writes=_FILES, reads=reads, overwrite=o.overwrite)
+
+
+def _show_parts(found: Inspection) -> None:
+    for title, items in parts(found):
+        tables = [item for item in items if isinstance(item, Table)]
+        for shown in tables or [f"\n{title}"]:
+            show(shown)
+        show_notices([item for item in items if isinstance(item, str)])
+
+
+def parts(found: Inspection) -> list[Part]:
+    """All findings, the verdict last."""
+    several = "s" if len(found.walks) > 1 else ""
+    shown: list[Part] = [(f"{len(found.walks)} recording{several}", [_table(found.walks), *_walk_lines(found.walks)])]
+    if found.coverage is not None:
+        shown.append(("Coverage", [*_coverage_lines(found.coverage), *found.notices]))
+    shown.append(("Odometry", [*_odometry_lines(found), *_clock_lines(found.clocks)]))
+    shown.append(("Images against poses", [*_view_lines(found.walks)]))
+    shown.append(("Camera", [*_camera_lines(found.camera)]))
+    if found.predictions is not None:
+        shown.append(("The model", [*_model_lines(found.predictions, found.coverage)]))
+    shown.append(("Verdict", [f"{number}. {sentence}" for number, sentence in enumerate(found.verdict, 1)]))
+    return [(title, items) for title, items in shown if items]
+
+
+def _first(items: Sequence[str]) -> str:
+    return ", ".join(items[:_NAMED]) + (", ..." if len(items) > _NAMED else "")
+
+
+def _table(walks: Sequence[Walk]) -> Table:
+    table = Table(
+        title="Recordings",
+        title_justify="left",
+        caption="sharp: variance of the Laplacian at 240 pixels; blurred: below 0.3 of the recording's median",
+        caption_justify="left",
+    )
+    table.add_column("", overflow="fold")
+    for name in ("images", "posed", "seconds", "Hz", "pixels", "path", "sharp", "blurred", "dark", "blown"):
+        table.add_column(name, justify="right", no_wrap=True)
+    for walk in walks:
+        figures = walk.as_json()
+        rate = figures["rate_hz"]
+        table.add_row(
+            walk.name,
+            str(len(walk)),
+            str(len(walk.poses)),
+            f"{figures['duration_s']:.1f}",
+            "?" if rate is None else f"{rate:.3g}",
+            ", ".join(f"{w}x{h}" for w, h in walk.sizes),
+            "?" if walk.path_m is None else f"{walk.path_m:.1f} m",
+            f"{figures['sharpness']:.0f}",
+            *(f"{100 * figures[name]:.0f} %" for name in ("blurred", "dark", "blown_out")),
+        )
+    return table
+
+
+def _walk_lines(walks: Sequence[Walk]) -> Iterator[str]:
+    for walk in walks:
+        if walk.source.assumed_hz is not None:
+            yield f"{walk.name}: has no stamps: {walk.source.assumed_hz} Hz assumed, gaps cannot be seen"
+        if gaps := [f"{long_s:.2f} s at {at_s:.1f} s" for at_s, long_s in walk.gaps]:
+            yield f"{walk.name}: {len(gaps)} gaps between images: {_first(gaps)}"
+        if frozen := [f"{begin} to {end}" for begin, end in walk.frozen]:
+            yield f"{walk.name}: one and the same image: {_first(frozen)}"
+    sources = list({id(walk.source): walk.source for walk in walks}.values())
+    yield from dict.fromkeys(notice for source in sources for notice in source.notices)
+    if counts := [source.counts for source in sources if source.counts is not None]:
+        yield f"images     {count_images(sum(counts, ImageCounts(0)).as_json())}"
+    yield from skipped_lines(sum((source.skipped for source in sources), Counter()))
+
+
+def _coverage_lines(coverage: Coverage) -> Iterator[str]:
+    others, what = coverage.others, "recording" if coverage.by_recordings else "pass"
+    shown = [f"{100 * float((others == i).mean()):.0f} % by {i or 'none'}" for i in np.unique(others).tolist()]
+    if not coverage.by_recordings:
+        shown = [f"{100 * float((others > 0).mean()):.0f} %"]
+    yield (
+        f"of {len(others)} images another {what} shows the same ground (within {coverage.split.near_m:.2g} m and 45°):"
+        f" {', '.join(shown)}"
+    )
+    segments = coverage.alone()
+    yield from (f"{segment} are shown by no other {what}" for segment in segments[:_NAMED])
+    if len(segments) > _NAMED:
+        yield f"and {len(segments) - _NAMED} shorter ones"
+    yield from map(str, reversed(coverage.storeys()))
+    yield from (f"`train` would report: {note}" for note in coverage.split.notes)
+
+
+def _odometry_lines(found: Inspection) -> Iterator[str]:
+    check = found.odometry
+    if check is None:
+        reasons = dict.fromkeys(
+            walk.source.lacks["odometry"] for walk in found.walks if "odometry" in walk.source.lacks
+        )
+        yield "unknown: " + ("; ".join(reasons) or "no two images in a row have both it and true poses")
+        return
+    axes = check.axes
+    if axes is None:
+        yield "axes: too short to compare"
+    else:
+        mirrored = f", mirrored {axes.correlation_mirrored:.2f}: one is left-handed" if axes.is_mirrored else ""
+        turned = f", {axes.correlation_turned:.2f} {axes.turn_in_words}: extrinsics?" if axes.is_turned else ""
+        yield f"axes: correlation of motions {axes.correlation:.2f}{mirrored}{turned}"
+    if check.late_ms:
+        late = [f"{ms:+.0f} ms ({name})" for name, ms in check.late_ms.items()]
+        yield f"clock, late against the true poses by: {_first(late)}"
+    for reason in dict.fromkeys(check.unknown_late.values()):
+        names = [name for name, own in check.unknown_late.items() if own == reason]
+        yield f"clock of {_first(names)} unknown: {reason}"
+    yield from [f"errors unknown: {check.no_fit}"] if check.fit is None else str(check.fit).splitlines()
+
+
+def _clock_lines(clocks: Sequence[ImageClock]) -> Iterator[str]:
+    if late := [f"{c.late_ms:+.0f} ms ({c.name}, {c.against})" for c in clocks if c.late_ms is not None]:
+        yield f"clock of the images, late by: {_first(late)}"
+
+
+def _view_lines(walks: Sequence[Walk]) -> Iterator[str]:
+    for walk in walks[:_NAMED]:
+        if not walk.checks and (len(walk.poses) or any(step is not None for step in walk.odometry)):
+            pairs = len(walk.views.pairs)
+            yield f"{walk.name}: too few pairs of images between which the camera turns or moves: {pairs}"
+        for check in walk.checks:
+            agree = f"agree to {np.degrees(check.residual):.1f}°" if check.is_right else "do not agree as stated"
+            yield f"{walk.name}: what images show and {check.by} {agree}, in {check.pairs} pairs of images"
+
+
+def _camera_lines(check: CameraCheck) -> Iterator[str]:
+    yield check.in_words
+    if (camera := check.found) is not None and check.fit is not None:
+        others = "" if check.of_all else "; images of other cameras were left out"
+        yield (
+            f"fitted at {camera.width} x {camera.height} pixels: fx {camera.fx:.1f}, fy {camera.fy:.1f}, cx"
+            f" {camera.cx:.1f}, cy {camera.cy:.1f}, k1 {check.fit.found.k1:.3f}, k2 {check.fit.found.k2:.3f}, found in"
+            f" {check.images} images{others}"
+        )
+
+
+def _model_lines(predictions: Predictions, coverage: Coverage | None) -> Iterator[str]:
+    figures = predictions.as_json(None)
+    yield (
+        f"{100 * predictions.ambiguous:.0f} % of {len(predictions.places)} images may be in several places; nine tenths"
+        f" of the samples lie within {figures['median_spread_m']:.2g} m (median)"
+    )
+    yield (
+        f"OOD score {figures['median_ood_score']:.2f} (median; above 1 is out of distribution:"
+        f" {100 * predictions.out_of_distribution:.0f} % of the images)"
+    )
+    if coverage is None:
+        return
+    error = figures["median_error_m"]
+    yield (
+        f"right (0.3 m, 20°) in {100 * figures['right']:.0f} % of the images with true poses, median error"
+        f" {'?' if error is None else f'{error:.2g}'} m; images that it was trained on look better than new ones"
+    )
+    weak = predictions.weak_places(coverage)
+    yield from map(str, weak[:_NAMED])
+    if len(weak) > _NAMED:
+        yield f"and {len(weak) - _NAMED} more where most images are wrong"

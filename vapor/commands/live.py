@@ -10,7 +10,7 @@ from typing import Annotated
 
 import tyro
 
-from sequences.live.options import DdsOptions
+from sequences.live.transport import DdsOptions
 from sequences.options import ReadingOptions
 from vapor.commands.console import parse, show, show_skipped
 from vapor.commands.terminal import flush_output

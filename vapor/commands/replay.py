@@ -8,9 +8,8 @@ from typing import Annotated
 
 import tyro
 
-from sequences.live.options import DdsOptions
 from sequences.live.replay import Replayed, ReplayOptions, replay
-from sequences.live.transport import join
+from sequences.live.transport import DdsOptions, join
 from vapor.commands.console import InputPath, parse, show
 from vapor.storage import fetched
 

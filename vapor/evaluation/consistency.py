@@ -15,7 +15,7 @@ from filtering.estimate import STATUSES, Mode
 from filtering.se3 import Poses
 from sequences.frame import Trajectory
 from vapor.evaluation.storeys import once_on_storey
-from vapor.evaluation.trajectory import SURE, associate, is_right
+from vapor.evaluation.trajectory import associate, is_right, stays_right
 from vapor.tracking.loop import Belief
 
 REGIONS: Mapping[str, float] = MappingProxyType({"50%": 0.5, "90%": 0.9, "95%": 0.95})
@@ -144,8 +144,5 @@ def recovery_images(right: Bool[np.ndarray, " n"], *, kidnap_index: int) -> int 
 
     1 stands for the first image there, `kidnap_index`; None if there is no such image.
     """
-    later = right[kidnap_index:]
-    remaining = np.arange(len(later), 0, -1)
-    right_from_here = np.cumsum(later[::-1])[::-1]
-    candidates = np.flatnonzero(later & (right_from_here >= SURE * remaining))
+    candidates = np.flatnonzero(stays_right(right[kidnap_index:]))
     return int(candidates[0]) + 1 if len(candidates) else None

@@ -64,8 +64,8 @@ def storeys_off(poses: Poses, truth: Poses, storey_height_m: float) -> Int64[np.
 
 def once_on_storey(poses: Poses, truth: Poses, storey_height_m: float) -> Bool[np.ndarray, " n"]:
     """The images from the first on which, and on all later ones of which, the storey is right, (n,)."""
-    wrong = storeys_off(poses, truth, storey_height_m) != 0
-    return np.cumsum(wrong[::-1])[::-1] == 0
+    is_right_storey = storeys_off(poses, truth, storey_height_m) == 0
+    return np.logical_and.accumulate(is_right_storey[::-1])[::-1]
 
 
 def evaluate_storey(poses: Poses, truth: Poses, storey_height_m: float) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float64, Int64
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.frame import Trajectory
+from sequences.trajectories.interpolation import interpolate
 from vapor.tracking.methods import METHODS, in_order
 
 THRESHOLDS: Mapping[str, tuple[float, float]] = MappingProxyType(
@@ -33,7 +34,7 @@ SURE = 0.95
 """Fraction of the remaining images that must be right once a method has converged."""
 
 
-_MOST_GAP_NS = 250_000_000  # between true poses that are interpolated
+_MOST_GAP_S = 0.25  # between true poses that are interpolated
 
 
 def is_right(poses: Poses, truth: Poses) -> Bool[np.ndarray, "*n"]:
@@ -49,17 +50,8 @@ def associate(times_ns: Int64[np.ndarray, " n"], truth: Trajectory) -> tuple[Boo
     Returns:
         Whether each stamp has a true pose, (n,), and these true poses (k,) in order.
     """
-    known_ns = truth.times_ns
-    after = np.searchsorted(known_ns, times_ns, side="left")
-    right = np.minimum(after, len(known_ns) - 1)
-    left = np.maximum(after - 1, 0)
-    exact = known_ns[right] == times_ns
-    between = (after > 0) & (after < len(known_ns)) & (known_ns[right] - known_ns[left] <= _MOST_GAP_NS)
-    found = exact | between
-    left, right = np.where(exact, right, left)[found], right[found]
-    span = np.maximum(known_ns[right] - known_ns[left], 1)
-    fraction = (times_ns[found] - known_ns[left]) / span
-    return found, truth.poses[left].interpolate(truth.poses[right], fraction)
+    poses, found = interpolate(truth.times_ns, truth.poses, times_ns, max_gap_s=_MOST_GAP_S)
+    return found, poses[found]
 
 
 def pose_errors(
@@ -135,13 +127,16 @@ def convergence_s(
     lies strictly before four fifths of the sequence's duration: a single lucky image at the end does not count. The
     stamp of the sequence's first image is that of the first given image, or `start_ns`.
     """
-    start_ns = int(times_ns[0]) if start_ns is None else start_ns
-    remaining = np.arange(len(right), 0, -1)
-    right_from_here = np.cumsum(right[::-1])[::-1]
-    elapsed_ns = times_ns - start_ns
+    elapsed_ns = times_ns - (int(times_ns[0]) if start_ns is None else start_ns)
     early = 5 * elapsed_ns < 4 * elapsed_ns[-1]
-    candidates = np.flatnonzero(right & early & (right_from_here >= SURE * remaining))
+    candidates = np.flatnonzero(early & stays_right(right))
     return float(elapsed_ns[candidates[0]] / 1e9) if len(candidates) else None
+
+
+def stays_right(right: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+    """The images that are right and from which on, themselves included, at least 95 % are."""
+    remaining = np.arange(len(right), 0, -1)
+    return right & (np.cumsum(right[::-1])[::-1] >= SURE * remaining)
 
 
 def evaluate_methods(methods: Mapping[str, Trajectory], truth: Trajectory) -> dict[str, dict[str, Any]]:

@@ -12,11 +12,11 @@ from torch import Tensor
 
 from filtering.se3 import Poses
 from vapor.checkpoints.calibration import Calibration
+from vapor.evaluation.trajectory import is_right
 from vapor.images import centre_crop
 from vapor.regressors.base import DensityRegressor, PoseRegressor
 from vapor.training_data.training_set import TrainingSet
 
-RECALL_TRANSLATION_M, RECALL_ROTATION_RAD = 0.3, float(np.deg2rad(20.0))
 _BATCH = 64
 _MAX_NOISE = 2**25  # numbers at a time: dropout takes 2048 for every sample
 LOG_FLOOR = float(np.log(1e-4))
@@ -60,8 +60,7 @@ def validate(
         truth = held_out.poses[[i]]
         density = calibration.density(samples)
         log_density = density.log_density(Poses.concatenate([samples, truth]))
-        translation_m, rotation_rad = samples.distance(truth)
-        near = (translation_m < RECALL_TRANSLATION_M) & (rotation_rad < RECALL_ROTATION_RAD)
+        near = is_right(samples, truth)
         figures.append((near.mean(), near[log_density[:-1].argmax()], np.logaddexp(log_density[-1], LOG_FLOOR)))
     sample_recall, mode_recall, log_density = np.array(figures, np.float64).mean(axis=0)
     return Validation(epoch, train_loss, float(sample_recall), float(mode_recall), float(log_density))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
 from typing import Any, NamedTuple
@@ -22,6 +22,7 @@ from vapor.training_data.ground import near_scale_m
 from vapor.training_data.load import shrunk, usual_camera
 
 _RUN, _MOST_IMAGES = 30, 300  # images in a row, and in all
+_UNKNOWN = "too few points are seen from two sides, and where the true poses put them"
 _SAME_PX = 1.0  # median distance, at the size at which features are found: nearer is as stated
 
 
@@ -62,44 +63,39 @@ class CameraViews:
         """Fit the camera of most images; `advance` is called with the number of key images done and of all."""
         cameras = Counter((view.camera, view.is_stated) for view in self._views)
         if not cameras:
-            return CameraCheck(0, None, None, False, "there are no true poses")
+            return CameraCheck(0, None, None, False)
         (camera, is_stated), count = cameras.most_common(1)[0]
-
-        def unknown(why: str) -> CameraCheck:
-            return CameraCheck(count, camera, None, len(cameras) == 1, why)
-
-        if count == 1:
-            return unknown("there is one image only")
         views = [view for view in self._views if (view.camera, view.is_stated) == (camera, is_stated)]
-        poses, start = Poses.stack([view.pose for view in views]), ViewCamera(shrunk(camera))
-        material = gather(
-            lambda image: views[image].grey, poses, start.camera, scale_m=near_scale_m(poses), advance=advance
-        )
-        if material is None:
-            return unknown("no two images show the same from two sides")
-        features = cache(lambda image: query_features(views[image].grey))
-        run = np.cumsum(np.diff([view.number for view in views], prepend=-1) > 1)
-        fit = fit_camera(material, start, features, poses, run, known=is_stated)
-        if fit is None:
-            return unknown("too few points are seen from two sides")
-        if fit.by_stated is None and fit.by_found is None:
-            return unknown("hardly any point is seen where the true poses put it, whatever the camera")
-        return CameraCheck(count, camera, fit, len(cameras) == 1, None)
+        fit = _fit(views, advance) if count > 1 else None
+        return CameraCheck(count, camera, fit, len(cameras) == 1)
+
+
+def _fit(views: Sequence[_View], advance: Callable[[int, int], None]) -> CameraFit | None:
+    """The camera that fits images of one camera; None where they show too little from two sides."""
+    poses, start = Poses.stack([view.pose for view in views]), ViewCamera(shrunk(views[0].camera))
+    material = gather(
+        lambda image: views[image].grey, poses, start.camera, scale_m=near_scale_m(poses), advance=advance
+    )
+    if material is None:
+        return None
+    features = cache(lambda image: query_features(views[image].grey))
+    run = np.cumsum(np.diff([view.number for view in views], prepend=-1) > 1)
+    fit = fit_camera(material, start, features, poses, run, known=views[0].is_stated)
+    return None if fit is None or (fit.by_stated is None and fit.by_found is None) else fit
 
 
 @dataclass(frozen=True)
 class CameraCheck:
     """The stated intrinsics, and those that fit a number of images and their true poses.
 
-    The camera is as stated, at the size of the images, or a guess; None without true poses. Without a fit, `unknown` is
-    the reason. `of_all`: whether all images are of this camera.
+    The camera is as stated, at the size of the images, or a guess; None without true poses. There is no fit where too
+    little is seen from two sides. `of_all`: whether all images are of this camera.
     """
 
     images: int
     camera: Camera | None
     fit: CameraFit | None
     of_all: bool
-    unknown: str | None
 
     @property
     def disagrees(self) -> bool:
@@ -110,7 +106,7 @@ class CameraCheck:
     def in_words(self) -> str:
         """The finding, in a sentence without its end."""
         if self.fit is None or self.camera is None:
-            return f"unknown: {self.unknown}"
+            return f"unknown: {_UNKNOWN}"
         return self.fit.in_words(self.camera.width)
 
     @property
@@ -124,7 +120,7 @@ class CameraCheck:
         """Figures for the report."""
         fit, found = self.fit, self.found
         if fit is None or self.camera is None:
-            return {"images": self.images, "unknown": self.unknown}
+            return {"images": self.images, "unknown": _UNKNOWN}
         errors = (None, None) if fit.errors_m is None else fit.errors_m
         maps = {"stated": fit.by_stated, "fits": fit.by_found}
         return {

@@ -13,7 +13,7 @@ from sequences.trajectories.interpolation import interpolate
 from vapor.inspection.odometry import chained
 from vapor.inspection.walk import Walk
 from vapor.training_data.ground import runs
-from vapor.training_data.views import AS_STATED, ORIENTATIONS, By, Pair, Residuals, lowest
+from vapor.training_data.views import By, Pair, Residuals, lowest
 
 _MOST_S, _COARSE_S, _FINE_S = 3.0, 0.05, 0.01  # offsets that are tried
 _MAX_GAP_S = 1.0  # between poses
@@ -26,14 +26,13 @@ _DRAWS, _GOOD = 100, 0.03  # and of the mean residual, focal lengths
 class ImageClock:
     """Delay of the stamps of a recording's images against those of odometry, or without any of true poses.
 
-    The delay, milliseconds, is None where unknown, as where the camera hardly turns, or always alike. `as_stated`:
-    whether images are neither turned nor mirrored then.
+    The delay, milliseconds, is None where unknown: where the camera hardly turns, or always alike, or where images are
+    turned or mirrored.
     """
 
     name: str
     against: str | None
     late_ms: float | None
-    as_stated: bool = True
 
     @staticmethod
     def of(walk: Walk) -> ImageClock:
@@ -42,26 +41,20 @@ class ImageClock:
             "odometry": _by_odometry(walk),
             "true poses": Trajectory(walk.times_ns[walk.posed], walk.poses),
         }
-        against: By | None = None
-        for by, track in others.items():
-            if len(track) < 2 or walk.assumed_hz is not None:
-                continue
-            against = against or by
-            turned = next((check.orientations for check in walk.views if check.by == by), ())
-            # As stated first: of a camera that pans to and fro, half a period late looks upside down.
-            for orientation in dict.fromkeys((AS_STATED, *turned[:1])):
-                late_s = _late_s(walk.pairs, track, ORIENTATIONS[orientation])
-                if late_s is not None:
-                    return ImageClock(walk.name, by, 1e3 * late_s, orientation == AS_STATED)
-        return ImageClock(walk.name, against, None)
+        known = {by: track for by, track in others.items() if len(track) > 1 and walk.source.assumed_hz is None}
+        for by, track in known.items():
+            late_s = _late_s(walk.views.pairs, track)
+            if late_s is not None:
+                return ImageClock(walk.name, by, 1e3 * late_s)
+        return ImageClock(walk.name, next(iter(known), None), None)
 
 
-def _late_s(pairs: Sequence[Pair], track: Trajectory, turn: Float64[np.ndarray, "3 3"]) -> float | None:
+def _late_s(pairs: Sequence[Pair], track: Trajectory) -> float | None:
     """Delay in seconds with which shared features are seen where they should be; None where unknown."""
     if len(pairs) < _LEAST_PAIRS:
         return None
     late_s = np.arange(-_MOST_S, _MOST_S + _COARSE_S / 2, _COARSE_S)
-    means = _means(_residuals(pairs, track, turn, late_s))
+    means = _means(_residuals(pairs, track, late_s))
     if not np.isfinite(means).any():
         return None
     best = float(late_s[int(np.nanargmin(means))])
@@ -69,7 +62,7 @@ def _late_s(pairs: Sequence[Pair], track: Trajectory, turn: Float64[np.ndarray, 
     if not np.nanmin(means) < min(_GOOD, _BETTER * rivals.min(initial=np.inf)):
         return None
     fine_s = best + np.arange(-3 * _COARSE_S, 3 * _COARSE_S + _FINE_S / 2, _FINE_S)
-    table = _residuals(pairs, track, turn, fine_s)
+    table = _residuals(pairs, track, fine_s)
     table = table[:, np.isfinite(table).all(axis=0)]  # the same pairs with every offset
     if table.shape[1] < _LEAST_PAIRS:
         return None
@@ -79,7 +72,7 @@ def _late_s(pairs: Sequence[Pair], track: Trajectory, turn: Float64[np.ndarray, 
 
 
 def _residuals(
-    pairs: Sequence[Pair], track: Trajectory, turn: Float64[np.ndarray, "3 3"], offsets_s: Float64[np.ndarray, " o"]
+    pairs: Sequence[Pair], track: Trajectory, offsets_s: Float64[np.ndarray, " o"]
 ) -> Float64[np.ndarray, "o p"]:
     """Of each pair at each delay; NaN where no pose covers it."""
     residuals, stamps_ns = Residuals(pairs), np.array([pair.times_ns for pair in pairs], np.int64)
@@ -88,7 +81,7 @@ def _residuals(
         at_ns = (stamps_ns - round(late_s * 1e9)).ravel()
         poses, known = interpolate(track.times_ns, track.poses, at_ns, max_gap_s=_MAX_GAP_S)
         motions = poses[1::2].inverse() @ poses[::2]
-        found.append(np.where(known[::2] & known[1::2], residuals.of(motions, turn), np.nan))
+        found.append(np.where(known[::2] & known[1::2], residuals.of(motions), np.nan))
     return np.array(found)
 
 

@@ -10,65 +10,16 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from filtering.se3 import Poses
 from filtering.storeys import find_storeys, up_axis
 from vapor.training.config import TrainConfig
-from vapor.training.holding_out import AWAY, WHOLE_OF, Split, hold_out, long_runs, shown_by, way_of
+from vapor.training.holding_out import AWAY, WHOLE_OF, hold_out, long_runs, shown_by, way_of
 from vapor.training_data.ground import DIRECTION_RAD, runs
 from vapor.training_data.training_set import TrainingSet
 
 SECTORS = 8
 STEEP = np.sin(np.deg2rad(60.0))
-_COMPASS = ("east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east")
+_NAMED = 3
 _MOST_CELLS = 50  # along the longer side of the plan
-
-
-@dataclass(frozen=True)
-class Plan:
-    """A map from above, which the cameras outline, with cells of a side in metres.
-
-    Axes are right and up on the map, and up in the world: unit vectors in the world, rows (3, 3); the first two have
-    names such as "x" or "-y".
-    """
-
-    axes: Float64[np.ndarray, "3 3"]
-    names: tuple[str, str]
-    cell_m: float
-
-    @staticmethod
-    def of(poses: Poses, near_m: float) -> Plan:
-        """The plan of cameras (n,): up is the axis of the world that is up in most images."""
-        up = up_axis(poses)
-        first = np.eye(3)[0 if up[0] == 0.0 else 1]
-        second = np.cross(up, first)
-        names = [f"{'-' if axis.sum() < 0 else ''}{'xyz'[int(np.argmax(np.abs(axis)))]}" for axis in (first, second)]
-        extent = np.ptp(poses.translation @ np.stack([first, second]).T, axis=0).max()
-        cell_m = _round(max(near_m / 2, extent / _MOST_CELLS))
-        return Plan(np.stack([first, second, up]), (names[0], names[1]), cell_m)
-
-    def places(self, poses: Poses) -> Float64[np.ndarray, "n 3"]:
-        """Positions on the map and heights, metres."""
-        return poses.translation @ self.axes.T
-
-    def sectors(self, poses: Poses) -> Int64[np.ndarray, " n"]:
-        """Directions of cameras: 0 to 7 from right on the map counterclockwise, 8 up and 9 down."""
-        ahead = poses.rotation[:, :, 2] @ self.axes.T
-        level = np.round(np.arctan2(ahead[:, 1], ahead[:, 0]) / (2 * np.pi / SECTORS)).astype(np.int64) % SECTORS
-        return np.where(np.abs(ahead[:, 2]) < STEEP, level, np.where(ahead[:, 2] > 0, SECTORS, SECTORS + 1))
-
-    def direction(self, sector: int) -> str:
-        """A direction in words: by the compass where z is up and y north; else by axes."""
-        if sector >= SECTORS:
-            return "up" if sector == SECTORS else "down"
-        if self.names == ("x", "y"):
-            return _COMPASS[sector]
-        turn = sector * 2 * np.pi / SECTORS
-        parts = []
-        for size, name in zip((np.cos(turn), np.sin(turn)), self.names, strict=True):
-            if abs(size) > 0.1:
-                negative = (size < 0) != name.startswith("-")
-                parts.append(f"{'-' if negative else '+'}{name[-1]}")
-        return " ".join(parts)
 
 
 def _round(value: float) -> float:
@@ -81,8 +32,7 @@ def _round(value: float) -> float:
 class Segment:
     """Images in a row of one recording, first to last: numbers count its images with a true pose, from 0.
 
-    Heights, in metres, are of the lowest and the highest; most images are on the storey with the number `storey`, from
-    0.
+    Heights, in metres, are of the lowest and the highest; most images are on the storey with this number, from 1.
     """
 
     name: str
@@ -100,23 +50,26 @@ class Segment:
 class Storey:
     """One of several storeys: heights in metres of its lowest and highest camera, its images, and the recordings there.
 
-    `trained` of these are not held out as a whole. `late` is the last fraction of each recording's images, before which
-    none shows it; None where one does.
+    Numbers count from 1, the lowest. `trained` of the recordings are not held out as a whole.
     """
 
+    number: int
     low_m: float
     high_m: float
     images: int
     names: tuple[str, ...]
     trained: int
-    late: float | None
+
+    def __str__(self) -> str:
+        names = ", ".join(self.names[:_NAMED]) + (", ..." if len(self.names) > _NAMED else "")
+        return f"storey {self.number} ({height(self.low_m, self.high_m)}): {self.images} images, of {names}"
 
 
 @dataclass(frozen=True)
 class Cell:
     """A square of the map: storey from 0, column from the left, row from below.
 
-    `passes` came near it, of which `looked` counts those that looked each way, by direction (`Plan.sectors`).
+    `passes` came near it, of which `looked` counts those that looked each way, by direction (`Coverage.sectors`).
     """
 
     storey: int
@@ -126,34 +79,32 @@ class Cell:
     looked: Mapping[int, int]
 
 
+def in_axes(vector: Float64[np.ndarray, "3"]) -> str:
+    """A direction in the world by its axes, such as "+x -y"."""
+    named = zip("xyz", vector.tolist(), strict=True)
+    return " ".join(f"{'+' if part > 0 else '-'}{name}" for name, part in named if abs(part) > 0.1)
+
+
 def height(low_m: float, high_m: float) -> str:
     """A range of heights in words."""
     return f"height {low_m:.1f} m" if high_m - low_m < 0.05 else f"height {low_m:.1f} to {high_m:.1f} m"
 
 
-_LATE = 0.25  # of a recording
-
-
-@dataclass(frozen=True)
 class Coverage:
     """Coverage of a place by n images with true poses of r recordings, measured as `train` does to hold images out.
 
-    `shown`: whether each recording, or of its own another pass, shows the surroundings of each image, (n, r). `way`:
-    length of the path up to each image, metres, (n,).
+    It has a map from above, with cells of a side in metres. Axes are right and up on the map, and the world's axis that
+    is up in most images: unit vectors in the world, rows (3, 3).
     """
 
-    images: TrainingSet
-    split: Split
-    shown: Bool[np.ndarray, "n r"]
-    plan: Plan
-    way: Float64[np.ndarray, " n"]
-
-    @staticmethod
-    def of(images: TrainingSet) -> Coverage:
-        """Measured as `train` does to hold images out."""
-        split = hold_out(images, TrainConfig().validation_fraction)
-        plan = Plan.of(images.poses, split.near_m)
-        return Coverage(images, split, shown_by(images, split.near_m), plan, way_of(images))
+    def __init__(self, images: TrainingSet) -> None:
+        self.images = images
+        self.split = hold_out(images, TrainConfig().validation_fraction)
+        up = up_axis(images.poses)
+        right = np.eye(3)[0 if up[0] == 0.0 else 1]
+        self.axes = np.stack([right, np.cross(up, right), up])
+        extent = np.ptp(self.places[:, :2], axis=0).max()
+        self.cell_m = _round(max(self.split.near_m / 2, extent / _MOST_CELLS))
 
     @property
     def by_recordings(self) -> bool:
@@ -163,18 +114,19 @@ class Coverage:
     @cached_property
     def others(self) -> Int64[np.ndarray, " n"]:
         """Number of other recordings that show each image; of few recordings, of those that do in another pass."""
+        shown = shown_by(self.images, self.split.near_m)  # by each recording; of its own, by another pass
         own = np.arange(len(self.images)), self.images.sequence
-        return self.shown.sum(axis=1) - (self.shown[own] if self.by_recordings else 0)
+        return shown.sum(axis=1) - (shown[own] if self.by_recordings else 0)
 
     @cached_property
     def places(self) -> Float64[np.ndarray, "n 3"]:
         """Positions on the map and heights, metres."""
-        return self.plan.places(self.images.poses)
+        return self.images.poses.translation @ self.axes.T
 
     @cached_property
     def cells(self) -> Int64[np.ndarray, "n 2"]:
         """Column and row of the map's cells."""
-        return np.floor((self.places[:, :2] - self.places[:, :2].min(axis=0)) / self.plan.cell_m).astype(np.int64)
+        return np.floor((self.places[:, :2] - self.places[:, :2].min(axis=0)) / self.cell_m).astype(np.int64)
 
     @cached_property
     def storey(self) -> Int64[np.ndarray, " n"]:
@@ -183,8 +135,17 @@ class Coverage:
 
     @cached_property
     def sectors(self) -> Int64[np.ndarray, " n"]:
-        """Direction of each image, see `Plan.sectors`."""
-        return self.plan.sectors(self.images.poses)
+        """Direction of each image: 0 to 7 from right on the map counterclockwise, 8 up and 9 down."""
+        ahead = self.images.poses.rotation[:, :, 2] @ self.axes.T
+        level = np.round(np.arctan2(ahead[:, 1], ahead[:, 0]) / (2 * np.pi / SECTORS)).astype(np.int64) % SECTORS
+        return np.where(np.abs(ahead[:, 2]) < STEEP, level, np.where(ahead[:, 2] > 0, SECTORS, SECTORS + 1))
+
+    def direction(self, sector: int) -> str:
+        """A direction by the axes of the world, such as "+x -y"."""
+        if sector >= SECTORS:
+            return "up" if sector == SECTORS else "down"
+        turn = sector * 2 * np.pi / SECTORS
+        return in_axes(np.cos(turn) * self.axes[0] + np.sin(turn) * self.axes[1])
 
     @cached_property
     def passes(self) -> list[Cell]:
@@ -210,16 +171,16 @@ class Coverage:
     def alone(self) -> list[Segment]:
         """Segments that no other recording, or of few recordings no other pass, shows; from the longest down."""
         alone = self.others == 0
-        sequence = self.images.sequence
-        brief = ~alone & ~long_runs(~alone, self.way, sequence)
+        sequence, way = self.images.sequence, way_of(self.images)
+        brief = ~alone & ~long_runs(~alone, way, sequence)
         found = []
-        for run in runs(long_runs(alone | brief, self.way, sequence), sequence):
-            rows = np.arange(run.start, run.stop)
-            rows = rows[np.flatnonzero(alone[rows])[[0, -1]]] if alone[rows].any() else rows[:0]
+        for run in runs(long_runs(alone | brief, way, sequence), sequence):
+            rows = run.start + np.flatnonzero(alone[run])
             if len(rows):
-                number, heights = int(sequence[run.start]), self.places[rows[0] : rows[-1] + 1, 2]
+                within = slice(rows[0], rows[-1] + 1)
+                number, heights = int(sequence[run.start]), self.places[within, 2]
                 first, last = (rows[[0, -1]] - int(np.argmax(sequence == number))).tolist()
-                storey = int(np.bincount(self.storey[rows[0] : rows[-1] + 1]).argmax())
+                storey = int(np.bincount(self.storey[within]).argmax()) + 1
                 low_m, high_m = float(heights.min()), float(heights.max())
                 found.append(Segment(self.images.names[number], first, last, low_m, high_m, storey))
         return sorted(found, key=lambda segment: segment.first - segment.last)
@@ -232,18 +193,11 @@ class Coverage:
         sequence, kept = self.images.sequence, np.isin(self.images.rows, self.split.training.rows)
         for number in range(int(self.storey.max()) + 1):
             on_it = self.storey == number
-            recordings = np.unique(sequence[on_it])
-            first = min(float(np.argmax(on_it[sequence == own])) / (sequence == own).sum() for own in recordings)
-            heights = self.places[on_it, 2]
+            heights, recordings = self.places[on_it, 2], np.unique(sequence[on_it])
+            names = tuple(self.images.names[own] for own in recordings)
+            trained = len(np.unique(sequence[on_it & kept]))
             found.append(
-                Storey(
-                    float(heights.min()),
-                    float(heights.max()),
-                    int(on_it.sum()),
-                    tuple(self.images.names[own] for own in recordings),
-                    len(np.unique(sequence[on_it & kept])),
-                    1.0 - first if 1.0 - first <= _LATE else None,
-                )
+                Storey(number + 1, float(heights.min()), float(heights.max()), int(on_it.sum()), names, trained)
             )
         return found
 
@@ -252,7 +206,7 @@ class Coverage:
         counts = np.bincount(np.minimum(self.others, 4), minlength=5) / len(self.others)
         return {
             "near_m": self.split.near_m,
-            "cell_m": self.plan.cell_m,
+            "cell_m": self.cell_m,
             "judged_by": "recordings" if self.by_recordings else "passes",
             "shown_by_others": {str(i) if i < 4 else "4 or more": float(v) for i, v in enumerate(counts)},
             "alone": [vars(segment) | {"description": str(segment)} for segment in self.alone()],

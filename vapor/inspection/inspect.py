@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -64,14 +65,13 @@ def inspect(
     reading: SequenceOptions | None = None,
     *,
     model: ObservationModel | None = None,
-    seed: int = 0,
     see: Callable[[Frame], None] = lambda frame: None,
     progress: Callable[[str, int, int | None], None] = lambda stage, done, total: None,
 ) -> Inspection:
     """Inspect recordings.
 
     Data are `PATH` or `PATH@START:STOP`, as `train` takes them; true poses and odometry may be missing. A model
-    observes every image, with latent noise of the seed. `see` is called with every frame in order, `progress` with the
+    observes every image. `see` is called with every frame in order, `progress` with the
     stage, how much of it is done, and of how much.
 
     Raises:
@@ -81,22 +81,23 @@ def inspect(
     predicted: list[Prediction] = []
     some: EvenlySpaced[SeenImage] = EvenlySpaced(MOST_IMAGES)
     views = CameraViews()
-    rng = np.random.default_rng(seed)
+    rng, done = np.random.default_rng(0), count(1)
 
     def take(frame: Frame) -> None:
+        progress("reading images", next(done), None)
         see(frame)
         views.take(frame)
         if model is not None:
             some.add(lambda: (frame.image, frame.camera))
             predicted.append(Prediction.of(model.observe(frame.image, rng=rng)))
 
-    walks = read_walks(data, reading, see=take, progress=lambda done: progress("reading images", done, None))
+    walks = read_walks(data, reading, see=take)
     images = posed_images(walks)
     coverage = odometry = predictions = None
     notices: tuple[str, ...] = ()
     if images is not None:
         progress("where it was", 0, None)
-        coverage = Coverage.of(images)
+        coverage = Coverage(images)
         progress("odometry", 0, None)
         odometry = check_odometry(images)
         notices = tuple(too_far(images.poses))

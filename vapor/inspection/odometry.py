@@ -1,17 +1,17 @@
-"""Odometry against true poses: which way its axes point, its clock, and how wrong it is."""
+"""Odometry against true poses: axes, unit, clock, and errors."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from itertools import accumulate, permutations, product
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
 
 from filtering.motion import Odometry
-from filtering.se3 import Poses, nearest_rotation
+from filtering.se3 import Poses, nearest_rotation, rotvec_from_rotation
 from sequences.errors import SequenceError
 from sequences.frame import Trajectory
 from sequences.odometry_fit.fit import fit_odometry
@@ -23,37 +23,33 @@ from vapor.training_data.training_set import TrainingSet
 
 _WINDOW_S = 1.0  # over which motions are compared: noise of single images counts little
 _LEAST_WINDOWS = 20
-_AGREES, _BETTER = 0.7, 0.2  # correlation of motions, and by how much another way must be better
+_AGREES = 0.7  # correlation of motions
 _MIRRORED_BETTER = 0.1  # correlation
 _UNITS = {"millimetres": 1000.0, "centimetres": 100.0, "inches": 39.37, "feet": 3.281}
 _SAME_UNIT, _UNIT_WITHIN = 2.5, 0.25  # of the ratio of lengths, and of its logarithm
 _TURNED_RAD = float(np.deg2rad(10.0))
-_DIRECTIONS = (("right", "left"), ("down", "up"), ("forward", "back"))  # of a camera's axes: there and back
+_USUAL_OFFSET_S = 1.0  # at most, within one recording
 
 
 @dataclass(frozen=True)
 class Axes:
     """Directions of odometry's axes against true poses.
 
-    Correlations are of the motions, translation and rotation, 1 where they are the same but for scale: as they are,
-    with the quarter turns `turned` (3, 3) of the camera on its base that make them most alike, with the best turn of
-    all, by the angle `off_rad`, and with the best mirroring along an axis. The length ratio is odometry's length per
-    metre of the true poses; 1 where these have little in common.
+    Correlations are of the motions over a second, translation and rotation, 1 where they are the same but for scale: as
+    they are, with the rotation `turn` (3, 3) of the camera on its base that makes them most alike, and with the best
+    mirroring. The length ratio is odometry's length per metre of the true poses; 1 where these have little in common.
     """
 
     correlation: float
-    turned: Float64[np.ndarray, "3 3"]
+    turn: Float64[np.ndarray, "3 3"]
     correlation_turned: float
-    off_rad: float
-    correlation_best: float
     correlation_mirrored: float
     length_ratio: float
 
     @property
-    def mirrored(self) -> bool:
-        """Whether one of the two is left-handed: a mirroring explains the motions better than any turn."""
-        turned = max(self.correlation, self.correlation_turned, self.correlation_best)
-        return self.correlation_mirrored >= _AGREES and self.correlation_mirrored > turned + _MIRRORED_BETTER
+    def rotvec(self) -> Float64[np.ndarray, "3"]:
+        """`turn` as a rotation vector, radians."""
+        return rotvec_from_rotation(self.turn)
 
     @property
     def unit(self) -> str | None:
@@ -65,35 +61,28 @@ class Axes:
         return near if abs(np.log(ratio / _UNITS[near])) < _UNIT_WITHIN else "another unit"
 
     @property
-    def swapped(self) -> bool:
-        """Whether quarter turns explain the motions much better than none."""
-        better = self.correlation_turned > self.correlation + _BETTER
-        return not self.mirrored and self.correlation_turned >= _AGREES and better
+    def is_mirrored(self) -> bool:
+        """Whether one of the two is left-handed: a mirroring explains the motions better than any turn."""
+        return self.correlation_mirrored >= max(_AGREES, self.correlation_turned + _MIRRORED_BETTER)
 
     @property
-    def tilted(self) -> bool:
-        """Whether another turn, of 10° and more, does."""
-        better = 1.0 - self.correlation_best < 0.8 * (1.0 - self.correlation)
-        if self.mirrored or self.swapped:
-            return False
-        return self.correlation_best >= _AGREES and better and self.off_rad > _TURNED_RAD
+    def is_turned(self) -> bool:
+        """Whether a turn of 10° and more explains the motions clearly better than none."""
+        is_better = 1.0 - self.correlation_turned < 0.8 * (1.0 - self.correlation)
+        is_far = float(np.linalg.norm(self.rotvec)) > _TURNED_RAD
+        return not self.is_mirrored and self.correlation_turned >= _AGREES and is_better and is_far
 
     @property
-    def unlike(self) -> bool:
+    def is_unlike(self) -> bool:
         """Whether neither a turn nor a mirroring makes the motions alike."""
-        return not self.mirrored and max(self.correlation, self.correlation_turned, self.correlation_best) < _AGREES
+        return not self.is_mirrored and self.correlation_turned < _AGREES
 
-    def in_words(self) -> str:
-        """The swapped axes and their counterparts."""
-        parts = []
-        for axis in (2, 0, 1):
-            seen = self.turned[:, axis]
-            number = int(np.argmax(np.abs(seen)))
-            if number != axis or seen[number] < 0:
-                parts.append(
-                    f"{_DIRECTIONS[axis][0]} looks like the true poses' {_DIRECTIONS[number][int(seen[number] < 0)]}"
-                )
-        return "odometry's " + ", its ".join(parts)
+    @property
+    def turn_in_words(self) -> str:
+        """The angle and axis of `turn`."""
+        angle = np.linalg.norm(self.rotvec)
+        right, down, ahead = self.rotvec / angle
+        return f"turned by {np.degrees(angle):.0f}° about ({right:.1f}, {down:.1f}, {ahead:.1f}) (right, down, ahead)"
 
 
 def compare_axes(tracks: Sequence[tuple[Trajectory, Trajectory]]) -> Axes | None:
@@ -105,27 +94,25 @@ def compare_axes(tracks: Sequence[tuple[Trajectory, Trajectory]]) -> Axes | None
     odometry, truth = (np.concatenate([pair[i] for pair in pairs]) for i in range(2))
     if len(odometry) < _LEAST_WINDOWS:
         return None
-    moved, turns, sizes = np.zeros((3, 3)), np.zeros((3, 3)), 0.0
-    for products, part in ((moved, slice(0, 3)), (turns, slice(3, 6))):
+    products = []
+    for part in (slice(0, 3), slice(3, 6)):
         size = float(np.linalg.norm(odometry[:, part]) * np.linalg.norm(truth[:, part]))
-        if size > 1e-9:
-            products += truth[:, part].T @ odometry[:, part] / size
-            sizes += 1.0
-    if sizes == 0.0:
+        products.append(truth[:, part].T @ odometry[:, part] / size if size > 1e-9 else np.zeros((3, 3)))
+    moved, turned = products
+    count = sum(bool(product.any()) for product in products)
+    if count == 0:
         return None
-
-    def correlation(turn: np.ndarray) -> float:
-        return float(np.sum(turn * (moved + np.linalg.det(turn) * turns))) / sizes  # mirrored turns go the other way
-
-    quarters = [np.eye(3), *(turn for turn in _quarter_turns() if not np.allclose(turn, np.eye(3)))]
-    turned = max(quarters, key=lambda turn: round(correlation(turn), 3))  # the first of equals
-    best = nearest_rotation(moved + turns)
-    _, off_rad = Poses(best, np.zeros(3)).distance(Poses.identity())
-    mirrored = max(correlation(turn @ np.diag([1.0, -1.0, 1.0])) for turn in quarters)
+    turn = nearest_rotation(moved + turned)
+    mirrored = nearest_rotation(turned - moved)  # seen in a mirror, rotations go the other way
     lengths = [float(np.linalg.norm(each[:, :3], axis=1).sum()) for each in (odometry, truth)]
-    alike = float(np.linalg.svd(moved, compute_uv=False).sum()) >= _AGREES  # else it is noise that is compared
-    ratio = lengths[0] / lengths[1] if alike and min(lengths) > 0 else 1.0
-    return Axes(correlation(np.eye(3)), turned, correlation(turned), float(off_rad), correlation(best), mirrored, ratio)
+    is_alike = float(np.linalg.svd(moved, compute_uv=False).sum()) >= _AGREES  # else it is noise that is compared
+    return Axes(
+        float(np.trace(moved + turned)) / count,
+        turn,
+        float(np.sum(turn * (moved + turned))) / count,
+        float(np.sum(mirrored * (turned - moved))) / count,
+        lengths[0] / lengths[1] if is_alike and min(lengths) > 0 else 1.0,
+    )
 
 
 def _motions(odometry: Trajectory, truth: Trajectory) -> tuple[np.ndarray, np.ndarray]:
@@ -135,19 +122,6 @@ def _motions(odometry: Trajectory, truth: Trajectory) -> tuple[np.ndarray, np.nd
     at = np.array(begins)
     moved = [(track.poses[at[:-1]].inverse() @ track.poses[at[1:]]).log() for track in (odometry, truth)]
     return moved[0], moved[1]
-
-
-def _quarter_turns() -> list[Float64[np.ndarray, "3 3"]]:
-    found = []
-    for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
-        turn = np.zeros((3, 3))
-        turn[list(order), range(3)] = signs
-        if np.linalg.det(turn) > 0:
-            found.append(turn)
-    return found
-
-
-_USUAL_OFFSET_S = 1.0  # at most, within one recording
 
 
 @dataclass(frozen=True)
@@ -172,20 +146,11 @@ class OdometryCheck:
 
     def as_json(self) -> dict[str, Any]:
         """Figures for the report."""
-        axes = self.axes
-        figures = None
-        if axes is not None:
-            names = ("correlation", "correlation_turned", "swapped", "tilted", "mirrored", "length_ratio")
-            figures = {name: getattr(axes, name) for name in names}
-            figures |= {"turned": axes.turned.tolist(), "off_deg": float(np.degrees(axes.off_rad))}
-        return {
-            "increments": self.increments,
-            "axes": figures,
-            "late_ms": dict(self.late_ms),
-            "unknown_late": dict(self.unknown_late),
-            "fit": None if self.fit is None else asdict(self.fit),
-            "no_fit": self.no_fit,
-        }
+        axes = None
+        if self.axes is not None:
+            found = {name: getattr(self.axes, name) for name in ("is_mirrored", "is_turned", "is_unlike")}
+            axes = {**asdict(self.axes), **found, "turn": self.axes.turn.tolist()}
+        return {**asdict(self), "axes": axes}
 
 
 def check_odometry(images: TrainingSet) -> OdometryCheck | None:
@@ -194,8 +159,8 @@ def check_odometry(images: TrainingSet) -> OdometryCheck | None:
     if not segments:
         return None
     axes = compare_axes([_track(segment) for segment in segments])
-    if axes is not None and (axes.unit is not None or axes.swapped):
-        factor, turn = 1 / axes.length_ratio if axes.unit else 1.0, axes.turned if axes.swapped else np.eye(3)
+    if axes is not None and (axes.unit is not None or axes.is_turned):
+        factor, turn = 1 / axes.length_ratio if axes.unit else 1.0, axes.turn if axes.is_turned else np.eye(3)
         segments = [_carried(segment, factor, turn) for segment in segments]
     fit, no_fit = None, ""
     try:

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vapor.inspection.coverage import SECTORS, Coverage, height
-from vapor.inspection.predictions import Predictions
-from vapor.reporting.drawing import COLORS, new_figure, save_figure
+from vapor.inspection.coverage import SECTORS, Coverage, height, in_axes
+from vapor.reporting.drawing import new_figure, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -18,39 +17,37 @@ if TYPE_CHECKING:
 _SEEN = ("#d55e00", "#f0b66b", "#9ecae1", "#4292c6", "#08519c")  # by one pass, two, ... five and more
 _PANEL, _LARGEST, _WIDEST = 4.6, 9.0, 16.0  # inches
 _MOST_STOREYS = 12
-_WRONG_M = (0.05, 3.0)  # of the colour scale of errors
 
 
-def draw_map(path: Path, coverage: Coverage, predictions: Predictions | None = None) -> Path:
-    """Draw the map as PNG, and beside it, with a model's predictions, its errors and ambiguities.
-
-    The picture appears under its name only when complete.
-    """
+def draw_map(path: Path, coverage: Coverage) -> Path:
+    """Draw the map as PNG. The picture appears under its name only when complete."""
     storeys = coverage.storeys()
     count = min(max(len(storeys), 1), _MOST_STOREYS)
-    rows = 1 if predictions is None else 2
     low, high = coverage.places[:, :2].min(axis=0), coverage.places[:, :2].max(axis=0)
-    pad = coverage.plan.cell_m
+    pad = coverage.cell_m
     size = high - low + 2 * pad
     width = float(np.clip(_PANEL * np.sqrt(size[0] / size[1]), 2.4, _LARGEST))
     tall = float(np.clip(width * size[1] / size[0], 2.0, _LARGEST))
     columns = min(count, max(int(_WIDEST / (width + 0.5)), 1))
-    lines = rows * (-(-count // columns))
+    lines = -(-count // columns)
     figure = new_figure(max(columns * (width + 0.5) + 0.8, 7.5), lines * (tall + 0.7) + 1.2)
     axes = figure.subplots(lines, columns, squeeze=False)
     for ax in axes.flat:
         ax.set_axis_off()
     for storey in range(count):
         ax = axes[storey // columns, storey % columns]
-        title = f"storey {storey + 1} ({height(storeys[storey].low_m, storeys[storey].high_m)})" if storeys else ""
-        _prepare(ax, coverage, low - pad, high + pad, title)
         _draw_passes(ax, coverage, storey)
-        if predictions is not None:
-            ax = axes[lines // 2 + storey // columns, storey % columns]
-            _prepare(ax, coverage, low - pad, high + pad, title)
-            drawn = _draw_errors(ax, coverage, predictions, storey)
-            figure.colorbar(drawn, ax=ax, shrink=0.7, label="median error [m]")
-    _legend(figure, predictions is not None)
+        ax.set_axis_on()
+        ax.set_aspect("equal")
+        ax.set(xlim=(low[0] - pad, high[0] + pad), ylim=(low[1] - pad, high[1] + pad))
+        ax.set_xlabel(f"{in_axes(coverage.axes[0]).removeprefix('+')} [m]", fontsize=8)
+        ax.set_ylabel(f"{in_axes(coverage.axes[1]).removeprefix('+')} [m]", fontsize=8)
+        ax.tick_params(labelsize=7)
+        ax.ticklabel_format(useOffset=False, style="plain")
+        ax.spines[["top", "right"]].set_visible(False)
+        if storeys:
+            ax.set_title(f"storey {storey + 1} ({height(storeys[storey].low_m, storeys[storey].high_m)})", fontsize=9)
+    _legend(figure)
     names = coverage.images.names
     what = names[0] if len(names) == 1 else f"{len(names)} recordings"
     title = f"{what}: passes near each place, and which way they looked"
@@ -58,33 +55,17 @@ def draw_map(path: Path, coverage: Coverage, predictions: Predictions | None = N
     return save_figure(figure, path)
 
 
-def _prepare(ax: Axes, coverage: Coverage, low: np.ndarray, high: np.ndarray, title: str) -> None:
-    ax.set_axis_on()
-    ax.set_aspect("equal")
-    ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
-    ax.set_xlabel(f"{coverage.plan.names[0]} [m]", fontsize=8)
-    ax.set_ylabel(f"{coverage.plan.names[1]} [m]", fontsize=8)
-    ax.tick_params(labelsize=7)
-    ax.ticklabel_format(useOffset=False, style="plain")
-    ax.set_title(title, fontsize=9)
-    ax.spines[["top", "right"]].set_visible(False)
-
-
-def _corner(coverage: Coverage, column: int, row: int) -> np.ndarray:
-    return coverage.places[:, :2].min(axis=0) + np.array([column, row]) * coverage.plan.cell_m
-
-
 def _draw_passes(ax: Axes, coverage: Coverage, storey: int) -> None:
     """Cells by the number of passes; in each a mark for every direction, dark where two passes or more looked so."""
     from matplotlib.collections import LineCollection, PatchCollection
     from matplotlib.patches import Rectangle
 
-    side = coverage.plan.cell_m
+    side, origin = coverage.cell_m, coverage.places[:, :2].min(axis=0)
     cells, colors, marks, inks, steep = [], [], [], [], []
     for cell in coverage.passes:
         if cell.storey != storey:
             continue
-        corner = _corner(coverage, cell.column, cell.row)
+        corner = origin + side * np.array([cell.column, cell.row])
         cells.append(Rectangle((float(corner[0]), float(corner[1])), side, side))
         colors.append(_SEEN[min(cell.passes, len(_SEEN)) - 1])
         middle = corner + side / 2
@@ -104,36 +85,7 @@ def _draw_passes(ax: Axes, coverage: Coverage, storey: int) -> None:
         ax.plot(*np.array(steep).T, ".", color="#000000", markersize=4)
 
 
-def _draw_errors(ax: Axes, coverage: Coverage, predictions: Predictions, storey: int):
-    """Cells by the median error of their images; a ring about those of which most may be in several places."""
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.collections import PatchCollection
-    from matplotlib.colors import LogNorm
-    from matplotlib.patches import Rectangle
-
-    side, on_it = coverage.plan.cell_m, np.flatnonzero(coverage.storey == storey)
-    scale = ScalarMappable(LogNorm(*_WRONG_M), "viridis_r")
-    places = predictions.places[predictions.posed]
-    if len(on_it):
-        cells, cell = np.unique(coverage.cells[on_it], axis=0, return_inverse=True)
-        patches, values, rings = [], [], []
-        for number, (column, row) in enumerate(cells.tolist()):
-            own = on_it[cell.ravel() == number]
-            corner = _corner(coverage, column, row)
-            patches.append(Rectangle((float(corner[0]), float(corner[1])), side, side))
-            errors_m = predictions.error_m[own]
-            values.append(float(np.median(np.where(np.isnan(errors_m), np.inf, errors_m))))
-            if np.median(places[own]) > 1:
-                rings.append(corner + side / 2)
-        drawn = PatchCollection(patches, cmap=scale.get_cmap(), norm=scale.norm, edgecolors="none")
-        drawn.set_array(np.minimum(values, _WRONG_M[1]))
-        ax.add_collection(drawn)
-        if rings:
-            ax.plot(*np.array(rings).T, "o", color=COLORS["other"], markerfacecolor="none", markersize=4)
-    return scale
-
-
-def _legend(figure: Figure, with_model: bool) -> None:
+def _legend(figure: Figure) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -143,9 +95,5 @@ def _legend(figure: Figure, with_model: bool) -> None:
     ]
     handles.append(Line2D([], [], color="#000000", label="several passes look this way"))
     handles.append(Line2D([], [], color="#ffffff", label="one pass only does"))
-    if with_model:
-        ring = Line2D([], [], color=COLORS["other"], marker="o", linestyle="none", markerfacecolor="none")
-        ring.set_label("ambiguous to the model")
-        handles.append(ring)
     legend = figure.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=8, frameon=True)
     legend.get_frame().set(facecolor="#d8d8d8", edgecolor="none")

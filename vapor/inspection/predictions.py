@@ -14,6 +14,7 @@ from filtering.se3 import Poses
 from vapor.evaluation.trajectory import is_right
 from vapor.inspection.coverage import Coverage
 
+_NOWHERE = Poses(np.full((3, 3), np.nan), np.full(3, np.nan))
 _COUNTED = 0.1  # of the samples, for a place to count
 _REACH = 0.9  # of the samples, within the spread
 _LEAST_IMAGES = 3  # of a place that errs
@@ -23,20 +24,22 @@ _WRONG_FRACTION = 0.5  # of its images
 class Prediction(NamedTuple):
     """Figures of one image's posterior.
 
-    The places hold at least a tenth of the samples each; the spread, metres, is the distance from the best place
-    (world_from_camera; None without a place) within which nine tenths of the samples are.
+    The places hold at least a tenth of the samples each; the spread, metres, is the distance from the best place within
+    which nine tenths of the samples are. The best place is world_from_camera, and NaN where there is none.
     """
 
     places: int
     spread_m: float
-    best: Poses | None
+    best: Poses
     ood_score: float
 
     @staticmethod
     def of(posterior: PosePosterior) -> Prediction:
         """The figures of one posterior."""
-        best = posterior.means[int(np.argmax(posterior.weights))] if len(posterior.weights) else None
-        centre = posterior.samples.translation.mean(axis=0) if best is None else best.translation
+        best, centre = _NOWHERE, posterior.samples.translation.mean(axis=0)
+        if len(posterior.weights):
+            best = posterior.means[int(np.argmax(posterior.weights))]
+            centre = best.translation
         apart_m = np.linalg.norm(posterior.samples.translation - centre, axis=1)
         places = int((posterior.weights >= _COUNTED).sum())
         return Prediction(places, float(np.quantile(apart_m, _REACH)), best, posterior.ood_score)
@@ -58,12 +61,12 @@ class WeakPlace:
     passes: int
 
     def __str__(self) -> str:
-        at = ", ".join(f"{value:.1f}" for value in self.position)
-        passes = "one pass only" if self.passes == 1 else f"{self.passes} passes"
-        possible = f", {self.places} places possible" if self.places > 1 else ""
-        images = "1 image" if self.images == 1 else f"{self.images} images"
-        error = f"median error {self.median_m:.2g} m over {images} of {passes}"
-        return f"near ({at}) m, looking {self.looking}: {error}{possible}"
+        x, y, z = self.position
+        passes = "one pass" if self.passes == 1 else f"{self.passes} passes"
+        return (
+            f"near ({x:.1f}, {y:.1f}, {z:.1f}) m, looking {self.looking}: median error {self.median_m:.2g} m over"
+            f" {self.images} images of {passes}, {self.places} places possible"
+        )
 
 
 @dataclass(frozen=True)
@@ -86,17 +89,15 @@ class Predictions:
     @staticmethod
     def of(predicted: Sequence[Prediction], truth: Poses, posed: Bool[np.ndarray, " n"]) -> Predictions:
         """Compare predictions of images (n,) with the k true poses."""
-        own = [each.best for each, known in zip(predicted, posed, strict=True) if known]
+        best = Poses.stack([each.best for each in predicted])[np.flatnonzero(posed)]
         error_m, right = np.full(len(truth), np.nan), np.zeros(len(truth), bool)
-        nowhere = Poses(np.full((3, 3), np.nan), np.full(3, np.nan))
-        best = Poses.stack([nowhere if pose is None else pose for pose in own]) if own else truth
         known = best.is_finite()
-        if known.any():
-            error_m[known] = best[known].distance(truth[known])[0]
-            right[known] = is_right(best[known], truth[known])
+        error_m[known] = best[known].distance(truth[known])[0]
+        right[known] = is_right(best[known], truth[known])
         places, spread_m, _, ood_score = zip(*predicted, strict=True)
-        figures = np.array(places, np.int64), np.array(spread_m), np.array(ood_score)
-        return Predictions(*figures, error_m, right, posed, best)
+        return Predictions(
+            np.array(places, np.int64), np.array(spread_m), np.array(ood_score), error_m, right, posed, best
+        )
 
     def weak_places(self, coverage: Coverage) -> list[WeakPlace]:
         """Places where most images are wrong, from the most of them down."""
@@ -118,7 +119,7 @@ class Predictions:
             median_m = float(np.median(errors_m))
             place = WeakPlace(
                 (x, y, z),
-                coverage.plan.direction(sector),
+                coverage.direction(sector),
                 len(own),
                 median_m if np.isfinite(median_m) else 0.0,
                 int(np.median(self.places[self.posed][own])),

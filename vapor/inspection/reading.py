@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.datasets.frames import posed_frames
 from sequences.datasets.listing import is_recording, list_images
@@ -18,11 +17,9 @@ from sequences.frame import Frame
 from sequences.options import OdometryUse, SequenceOptions, TruePoseUse
 from sequences.reader import SequenceReader
 from sequences.reading.counts import ImageCounts
-from vapor.inspection.walk import Look, Looks, Walk, look_at
-from vapor.training_data.checks import Colours
+from vapor.inspection.walk import Walk
 from vapor.training_data.entries import name_entries
 from vapor.training_data.training_set import TrainingError, TrainingSet
-from vapor.training_data.views import Views
 
 
 def read_walks(
@@ -30,12 +27,11 @@ def read_walks(
     reading: SequenceOptions | None = None,
     *,
     see: Callable[[Frame], None] = lambda frame: None,
-    progress: Callable[[int], None] = lambda done: None,
 ) -> list[Walk]:
     """Read recordings once, one image at a time.
 
     Data are `PATH` or `PATH@START:STOP`, as `train` takes them; true poses may be missing. `see` is called with every
-    frame in order, `progress` with the number of images read so far.
+    frame in order.
 
     Raises:
         TrainingError: no data, a bad range, or a pose that is not finite.
@@ -44,26 +40,34 @@ def read_walks(
     if not data:
         raise TrainingError("no data, expected at least one file or folder")
     walks: list[Walk] = []
-    done = 0
     for name, (path, which) in name_entries(data).items():
-        source = _Source(path, which, reading)
-        parts: dict[int, _Part] = {}
+        source = Source(path, which, reading)
+        parts: dict[int, Walk] = {}
         for frame in source.frames():
             if frame.world_from_camera is not None and not frame.world_from_camera.is_finite():
                 raise TrainingError(f"{name}: true pose at {frame.time_ns} ns is not finite")
             see(frame)
-            parts.setdefault(frame.sequence, _Part()).take(frame)
-            done += 1
-            progress(done)
-        for number, part in parts.items():
-            walks.append(part.walk(name if len(parts) == 1 else f"{name}, sequence {number + 1}", source))
+            if frame.sequence not in parts:
+                parts[frame.sequence] = Walk(name, source)
+            parts[frame.sequence].take(frame)
+        for number, walk in parts.items():
+            walk.name = name if len(parts) == 1 else f"{name}, sequence {number + 1}"
+            walks.append(walk)
     return walks
 
 
-class _Source:
+class Source:
     """The frames of one entry: a recording, whose true poses may be missing, or images on disk.
 
-    Attributes are as of `Walk`, and complete after `frames`.
+    Attributes are complete after `frames`.
+
+    Attributes:
+        recorded: Whether it is a recording.
+        counts: None of images on disk.
+        skipped: Images and unreadable messages that were left out, by reason.
+        notices: Remarks on the data.
+        assumed_hz: Rate assumed for want of stamps.
+        lacks: Reasons why "true poses" or "odometry" are missing.
     """
 
     def __init__(self, path: Path, which: slice, reading: SequenceOptions | None) -> None:
@@ -118,60 +122,15 @@ class _Source:
             self.lacks[what] = str(error.args[0]).removeprefix(f"{self._path}: ")
 
 
-@dataclass
-class _Part:
-    """Frames of one recording as they come, without their pixels."""
-
-    times_ns: list[int] = field(default_factory=list)
-    looks: list[Look] = field(default_factory=list)
-    poses: list[Poses | None] = field(default_factory=list)
-    odometry: list[Odometry | None] = field(default_factory=list)
-    views: Views = field(default_factory=Views)
-    colours: Colours = field(default_factory=Colours)
-
-    def take(self, frame: Frame) -> None:
-        self.times_ns.append(frame.time_ns)
-        self.looks.append(look_at(frame.image))
-        self.poses.append(frame.world_from_camera)
-        self.odometry.append(frame.odometry)
-        self.views.take(frame)
-        self.colours.take(frame.image)
-
-    def walk(self, name: str, source: _Source) -> Walk:
-        known = [pose for pose in self.poses if pose is not None]
-        return Walk(
-            name,
-            np.array(self.times_ns, np.int64),
-            Counter((look.width, look.height) for look in self.looks),
-            Looks.of(self.looks),
-            np.array([pose is not None for pose in self.poses]),
-            Poses.stack(known) if known else Poses.identity(0),
-            tuple(self.odometry),
-            source.counts,
-            source.skipped,
-            tuple(source.notices),
-            source.assumed_hz,
-            source.lacks,
-            source.recorded,
-            tuple(self.views.pairs),
-            tuple(self.views.checks()),
-            self.colours,
-        )
-
-
 def posed_images(walks: Sequence[Walk]) -> TrainingSet | None:
     """The images of recordings as `train` has them, without pixels; None where none has a true pose."""
     walks = [walk for walk in walks if len(walk.poses)]
     if not walks:
         return None
-    odometry = [
-        step if before else None
-        for walk in walks
-        for step, before, is_posed in zip(
-            walk.odometry, [False, *walk.posed[:-1].tolist()], walk.posed.tolist(), strict=True
-        )
-        if is_posed
-    ]
+    odometry = []
+    for walk in walks:
+        follows = np.concatenate([[False], walk.posed[:-1]])  # an image with a true pose
+        odometry += [walk.odometry[i] if follows[i] else None for i in np.flatnonzero(walk.posed)]
     count = len(odometry)
     return TrainingSet(
         np.zeros((count, 1, 1, 3), np.uint8),

@@ -9,7 +9,7 @@ import numpy as np
 
 from vapor.inspection.camera import CameraCheck
 from vapor.inspection.clocks import ImageClock
-from vapor.inspection.coverage import Coverage, height
+from vapor.inspection.coverage import Coverage
 from vapor.inspection.odometry import OdometryCheck
 from vapor.inspection.predictions import Predictions
 from vapor.inspection.walk import Walk
@@ -44,7 +44,7 @@ def verdict(
     found = [*_useless(walks, coverage), *_clocks(odometry, clocks), *_views(walks, odometry, clocks, camera)]
     if odometry is not None:
         # Images show already which of poses and odometry is turned or left-handed, where one of both agrees with them.
-        sides = [{check.is_right for check in walk.views if check.orientations} for walk in walks]
+        sides = [{check.is_right for check in walk.checks if check.orientations} for walk in walks]
         found += _odometry(odometry, is_named=any(len(of_walk) == 2 for of_walk in sides))
     if coverage is not None:
         found += _coverage(coverage)
@@ -63,16 +63,16 @@ def verdict(
 
 def _useless(walks: Sequence[Walk], coverage: Coverage | None) -> Iterator[str]:
     for walk in walks:
-        if walk.looks.repeated[1:].all() and len(walk) > 1:
+        if walk.repeated[1:].all() and len(walk) > 1:
             yield f"record {walk.name} again: its {len(walk)} images are all one and the same"
         if not len(walk.poses):
-            reason = walk.lacks.get("true poses") or next(iter(walk.notices), "no image has one")
+            reason = walk.source.lacks.get("true poses") or next(iter(walk.source.notices), "no image has one")
             yield f"give {walk.name} true poses, which `train` needs: {reason}"
     if coverage is None:
         return
     count, poses = len(coverage.images), coverage.images.poses
     if count < _FEW_IMAGES:
-        yield f"record more: {_count_images(count)} with true poses, expected some hundreds at least"
+        yield f"record more: {count} images with true poses, expected some hundreds at least"
     moved_m, turned = poses.distance(poses[0])
     if count > 1 and moved_m.max() < _STANDS_M and turned.max() < _STANDS_RAD:
         yield (
@@ -86,15 +86,12 @@ def _views(
 ) -> Iterator[str]:
     """Contradictions of images, poses and colours."""
     has_focal = camera is not None and camera.disagrees and camera.of_all  # a better sentence on focal lengths follows
-    explained = {clock.name for clock in clocks if clock.as_stated and abs(clock.late_ms or 0.0) >= _IMAGES_LATE_MS}
+    explained = {clock.name for clock in clocks if abs(clock.late_ms or 0.0) >= _IMAGES_LATE_MS}
     has_units = odometry is not None and odometry.axes is not None and odometry.axes.unit is not None
     for walk in walks:
-        own = [replace(check, focal=None) for check in walk.views] if has_focal else walk.views
-        if walk.name in explained:
-            views = [check for check in own if check.orientations]  # others agree once clocks do
-            yield from (f"or else, with clocks as they are: {each}" for each in said_of_views(walk.name, views))
-        else:
-            yield from said_of_views(walk.name, own)
+        own = [replace(check, focal=None) for check in walk.checks] if has_focal else walk.checks
+        # Views that agree with no orientation do so once clocks are right.
+        yield from said_of_views(walk.name, [c for c in own if c.orientations or walk.name not in explained])
         speed = walk.speed_m_per_s
         if speed is not None and speed > _TOO_FAST_M_PER_S and not has_units:
             yield (
@@ -126,30 +123,23 @@ def _late_said(late_ms: float) -> str:
 
 def _odometry(check: OdometryCheck, *, is_named: bool) -> Iterator[str]:
     axes, fit = check.axes, check.fit
-    if is_named or axes is None:
-        pass
-    elif axes.mirrored:
-        yield (
-            "check odometry and true poses: one of them is left-handed, their motions are each other's mirror images"
-            f" (correlation {axes.correlation_mirrored:.2f}, as they are {axes.correlation:.2f})"
-        )
-    elif axes.swapped:
-        yield f"check the extrinsics (tf, --base-from-camera): {axes.in_words()}"
-    elif axes.tilted:
-        yield (
-            f"check the extrinsics (tf, --base-from-camera): odometry moves as if the camera were turned by"
-            f" {np.degrees(axes.off_rad):.0f}° on its base, against the true poses"
-        )
-    elif axes.unlike:
-        yield (
-            f"check odometry and true poses: their motions have little in common (correlation {axes.correlation:.2f}),"
-            " whichever way the axes are turned"
-        )
+    if axes is not None and not is_named:
+        if axes.is_mirrored:
+            yield "check odometry and true poses: one is left-handed, as their motions are each other's mirror images"
+        elif axes.is_turned:
+            yield (
+                "check the extrinsics (tf, --base-from-camera): odometry moves, against the true poses, as if the"
+                f" camera were {axes.turn_in_words} on its base"
+            )
+        elif axes.is_unlike:
+            yield (
+                f"check odometry and true poses: their motions have little in common (correlation"
+                f" {axes.correlation:.2f}), whichever way the axes are turned"
+            )
     if axes is not None and axes.unit is not None:
-        longer, other = ("odometry", "the true poses") if axes.length_ratio > 1 else ("the true poses", "odometry")
         yield (
-            f"check units: by {longer} the camera moves {max(axes.length_ratio, 1 / axes.length_ratio):.4g} times as"
-            f" far as by {other}, as if {longer} were in {axes.unit} instead of metres"
+            f"check units: odometry is {axes.length_ratio:.4g} m long for each metre of the true poses, as if the"
+            f" longer were in {axes.unit} instead of metres"
         )
     if fit is not None and abs(fit.scale) > max(_SCALE, _CERTAIN * fit.scale_error):
         far = "long" if fit.scale > 0 else "short"
@@ -165,54 +155,39 @@ def _coverage(coverage: Coverage) -> Iterator[str]:
             "record another walk over the same ground: nothing can be held out of this, so `train` would assume how"
             " images err, and not find it"
         )
-    several = len(coverage.images.names) > 1
-    storeys = coverage.storeys()
-    named = set()
-    for number, storey in enumerate(storeys):
-        name = f"storey {number + 1} of {len(storeys)} ({height(storey.low_m, storey.high_m)})"
-        if several and len(storey.names) == 1:
-            named.add(number)
-            yield f"record {name} in another walk: only {storey.names[0]} comes there"
-        elif several and storey.trained <= 1:
-            named.add(number)
-            yield (
-                f"record {name} in another walk: of the {len(storey.names)} recordings that come there"
-                f" {storey.trained or 'none'} would be trained on"
-            )
-        elif storey.images < _SCARCE * sum(each.images for each in storeys) / len(storeys):
-            late = ""
-            if storey.late is not None:
-                one = len(storey.names) == 1
-                who = f"{storey.names[0]} comes" if one else f"all {len(storey.names)} recordings that do come"
-                late = f", and {who} there only in the last {100 * storey.late:.0f} %"
-            yield f"record more of {name}: it has {_count_images(storey.images)} of {len(coverage.images)}{late}"
+    storeys, several = coverage.storeys(), len(coverage.images.names) > 1
+    few = _SCARCE * len(coverage.images) / max(len(storeys), 1)
+    lacking = [storey for storey in storeys if storey.images < few or (several and storey.trained <= 1)]
+    if lacking:
+        yield f"show in another walk: {_first(lacking)}"
     alone = float((coverage.others == 0).mean())
-    segments = [segment for segment in coverage.alone() if segment.storey not in named]
+    segments = [segment for segment in coverage.alone() if all(storey.number != segment.storey for storey in lacking)]
     if alone > _ALONE and segments:
         whose = "no other recording shows" if coverage.by_recordings else "no other pass shows"
         yield f"record again what {whose}, {100 * alone:.0f} % of the images: {_first(segments)}"
 
 
 def _images(walk: Walk) -> Iterator[str]:
-    looks, name = walk.looks, walk.name
-    blurred = float(looks.blurred.mean())
+    name = walk.name
+    blurred, dark, blown, jumps = (float(each.mean()) for each in (walk.blurred, walk.dark, walk.blown, walk.jumps))
+    brightness = float(np.median(walk.looks["brightness"]))
     if blurred > _BLURRED:
-        how = {"turns": "turn more slowly", "speed": "walk slower", None: "walk slower, or in more light"}
-        yield f"{how[walk.blur_comes_with]}: {100 * blurred:.0f} % of the images of {name} are blurred"
-    dark, blown, jumps = (float(each.mean()) for each in (looks.dark, looks.blown, looks.jumps))
+        yield (
+            f"walk and turn more slowly, or in more light: {100 * blurred:.0f} % of the images of {name} are blurred"
+        )
     if dark > _BADLY_EXPOSED:
         yield f"make light, or expose for longer: {100 * dark:.0f} % of the images of {name} are nearly black"
-    elif (brightness := float(np.median(looks.brightness))) < _DIM:
+    elif brightness < _DIM:
         yield f"make light, or expose for longer: the images of {name} are dark, {brightness:.0f} of 255 in the median"
     if blown > _BADLY_EXPOSED:
         yield f"expose for less long: {100 * blown:.0f} % of the images of {name} are blown out"
-    if jumps > _JUMPS and looks.jumps.sum() > 1:
+    if jumps > _JUMPS and walk.jumps.sum() > 1:
         yield (
             f"fix the exposure, or walk without sudden light: {name} gets half a stop brighter or darker from one image"
-            f" to the next {looks.jumps.sum()} times"
+            f" to the next {walk.jumps.sum()} times"
         )
     frozen = sum(last - first for first, last in walk.frozen)
-    if frozen > _FROZEN * len(walk) and not looks.repeated[1:].all():
+    if frozen > _FROZEN * len(walk) and not walk.repeated[1:].all():
         first, last = max(walk.frozen, key=lambda run: run[1] - run[0])
         yield (
             f"look at the camera's driver: {frozen} images of {name} repeat the one before, such as {first} to {last}"
@@ -221,18 +196,19 @@ def _images(walk: Walk) -> Iterator[str]:
     lost = sum(long_s for _, long_s in gaps)
     if gaps and (gaps[0][1] > _LONG_GAP_S or lost > _LOST * walk.seconds[-1]):
         at_s, long_s = gaps[0]
-        times = f"{len(gaps)} gaps, {lost:.1f} s in all, the longest" if len(gaps) > 1 else "a gap"
-        yield f"find out why images are missing: {name} has {times} of {long_s:.1f} s, {at_s:.1f} s after its start"
+        yield (
+            f"find out why images are missing: {name} has gaps of {lost:.1f} s in all, the longest of {long_s:.1f} s,"
+            f" {at_s:.1f} s after its start"
+        )
 
 
 def _without(walks: Sequence[Walk]) -> Iterator[str]:
     """Odometry is not needed for training."""
-    lacking = [walk for walk in walks if walk.recorded and not any(step is not None for step in walk.odometry)]
+    lacking = [walk for walk in walks if walk.source.recorded and not any(step is not None for step in walk.odometry)]
     if lacking:
-        who = lacking[0].name if len(lacking) == 1 else f"{len(lacking)} of {len(walks)} recordings"
-        reason = lacking[0].lacks.get("odometry", "none is of the time of the images")
+        reason = lacking[0].source.lacks.get("odometry", "none is of the time of the images")
         yield (
-            f"record odometry too: {who} ha{'s' if len(lacking) == 1 else 've'} none ({reason});"
+            f"record odometry too: none in {_first([walk.name for walk in lacking])} ({reason});"
             " training does without, localizing does not"
         )
 
@@ -245,17 +221,10 @@ def _model(coverage: Coverage, predictions: Predictions) -> Iterator[str]:
         unlike = (
             f"{100 * predictions.out_of_distribution:.0f} % of the images look unlike all that the model was trained on"
         )
-        yield (
-            f"{unlike}: {predictions.why_out_of_distribution}"
-            if predictions.why_out_of_distribution
-            else f"train on more of this: {unlike}"
-        )
+        why = predictions.why_out_of_distribution
+        yield f"{unlike}: {why}" if why else f"train on more of this: {unlike}"
 
 
 def _first(items: Sequence[object]) -> str:
     more = f"; and {len(items) - _NAMED} more" if len(items) > _NAMED else ""
     return "; ".join(map(str, items[:_NAMED])) + more
-
-
-def _count_images(count: int) -> str:
-    return "1 image" if count == 1 else f"{count} images"

@@ -14,8 +14,7 @@ from filtering.errors import VaporTrackError, require_within
 from filtering.measurement_noise import MeasurementNoise
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
-from sequences.estimates.options import EstimateOptions
-from sequences.estimates.sequence import EstimateSequence
+from sequences.estimates.sequence import EstimateOptions, EstimateSequence
 from sequences.outputs import results_folder
 from vapor.pipeline.config import FilteringConfig
 from vapor.pipeline.localize import localize

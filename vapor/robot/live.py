@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from sequences.live.options import DdsOptions
-from sequences.live.transport import Transport, join
+from sequences.live.transport import DdsOptions, Transport, join
 from sequences.options import ReadingOptions
 from vapor.pipeline.model import LoadedModel, load_model
 from vapor.robot.config import LiveConfig

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -88,7 +87,7 @@ def diagnostics_message(
 
 
 def camera_of_initial_pose(
-    message: SimpleNamespace, base_from_camera: Poses, prior_poses: Poses
+    message: Any, base_from_camera: Poses, prior_poses: Poses
 ) -> tuple[Poses, Float64[np.ndarray, "6 6"]]:
     """Pose of the camera, one pose, and its covariance in its tangent, from geometry_msgs/PoseWithCovarianceStamped.
 

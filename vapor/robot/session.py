@@ -15,7 +15,6 @@ from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -274,19 +273,19 @@ class LiveSession:
     def _now_ns(self) -> int:
         return time.time_ns() if self._clock_ns is None else self._clock_ns
 
-    def _set_clock(self, message: SimpleNamespace) -> None:
+    def _set_clock(self, message: Any) -> None:
         self._clock_ns = int(message.clock.sec) * 1_000_000_000 + int(message.clock.nanosec)
         while self._before_clock:
             self._events.put(self._before_clock.popleft())
 
-    def _reset(self, _: SimpleNamespace) -> None:
+    def _reset(self, _: Any) -> None:
         if self._belief is not None:
             self._belief.forget()
             self._network.forget()
             self._publisher.forget()
         self._notify("reset")
 
-    def _set_pose(self, message: SimpleNamespace) -> None:
+    def _set_pose(self, message: Any) -> None:
         belief = self._belief
         if belief is None or (time_ns := belief.reader.odometry_ns) is None:
             raise VaporTrackError("no odometry yet, expected some before a pose is stated")
@@ -303,7 +302,7 @@ class LiveSession:
         self._believe(belief, time_ns, anchor.estimate)
         self._notify(f"starts at x {pose.translation[0]:.2f} m, y {pose.translation[1]:.2f} m, by {_INITIAL_POSE}")
 
-    def _save_snapshot(self, _: SimpleNamespace) -> None:
+    def _save_snapshot(self, _: Any) -> None:
         anchor = None if self._belief is None else self._belief.anchor
         if anchor is None or anchor.frame is None:
             raise VaporTrackError("no image was localized yet, expected an estimate to save")

@@ -12,7 +12,7 @@ from filtering.errors import VaporTrackError
 from filtering.estimate import Estimate
 from filtering.se3 import Poses
 from sequences.frame import Frame
-from sequences.recordings.message_definitions import DEFINITIONS, schema_name, schema_text
+from sequences.recordings.message_definitions import is_known, schema_name, schema_text
 from sequences.recordings.source import TF_STATIC, RawMessage
 from vapor.reporting.rerun_viewer import RerunViewer
 
@@ -68,7 +68,7 @@ class FoxgloveServer:
         key = raw.topic, raw.type
         if key not in self._channels:
             self._channels[key] = None
-            if raw.type in DEFINITIONS:
+            if is_known(raw.type):
                 schema = self._foxglove.Schema(
                     name=schema_name(raw.type), encoding="ros2msg", data=schema_text(raw.type).encode()
                 )

@@ -51,8 +51,7 @@ _LONGEST_NAME, _MOST_KEYPOINTS = 4096, 1_000_000
 def camera_rows(file: Path) -> Iterator[tuple[int, list[str]]]:
     """Number and fields `CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]` of each camera.
 
-    Raises:
-        SequenceError: the file cannot be read, is cut off, or has a camera of an unknown model.
+    Raises SequenceError where the file cannot be read, is cut off, or has a camera of an unknown model.
     """
     with _Records(file) as records:
         for number in range(1, records.take("Q")[0] + 1):
@@ -70,8 +69,7 @@ def camera_rows(file: Path) -> Iterator[tuple[int, list[str]]]:
 def image_rows(file: Path) -> Iterator[tuple[int, list[str]]]:
     """Number and fields `IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME` of each image; keypoints are passed over.
 
-    Raises:
-        SequenceError: the file cannot be read or is cut off, or a name is no UTF-8.
+    Raises SequenceError where the file cannot be read or is cut off, or a name is no UTF-8.
     """
     with _Records(file) as records:
         for number in range(1, records.take("Q")[0] + 1):
@@ -84,8 +82,8 @@ def image_rows(file: Path) -> Iterator[tuple[int, list[str]]]:
 def keypoint_rows(file: Path) -> Iterator[tuple[str, Float64[np.ndarray, "k 2"], Int64[np.ndarray, " k"]]]:
     """Name of each image, and X and Y of the keypoints that are of a point, with its POINT3D_ID.
 
-    Raises:
-        SequenceError: the file cannot be read or is cut off, a name is no UTF-8, or an image has too many keypoints.
+    Raises SequenceError where the file cannot be read or is cut off, a name is no UTF-8, or an image has too many
+    keypoints.
     """
     with _Records(file) as records:
         for _ in range(records.take("Q")[0]):
@@ -101,8 +99,7 @@ def keypoint_rows(file: Path) -> Iterator[tuple[str, Float64[np.ndarray, "k 2"],
 def point_rows(file: Path) -> Iterator[tuple[int, *tuple[float, ...]]]:
     """`POINT3D_ID X Y Z R G B` of each point; the images that show it are passed over.
 
-    Raises:
-        SequenceError: the file cannot be read or is cut off.
+    Raises SequenceError where the file cannot be read or is cut off.
     """
     with _Records(file) as records:
         for _ in range(records.take("Q")[0]):
@@ -112,8 +109,6 @@ def point_rows(file: Path) -> Iterator[tuple[int, *tuple[float, ...]]]:
 
 
 class _Records:
-    """A file read number by number."""
-
     def __init__(self, file: Path) -> None:
         self._file = file
 

@@ -67,8 +67,7 @@ def images_in_first(folder: Path, subfolders: tuple[str, ...]) -> list[Path]:
 def images_by_number(folder: Path, subfolders: tuple[str, ...]) -> dict[int, Path]:
     """Images by the last number in their names, from the first of the subfolders that holds any, or else the folder.
 
-    Raises:
-        SequenceError: two images have the same number, or none has one.
+    Raises SequenceError where two images have the same number, or none has one.
     """
     numbered: dict[int, Path] = {}
     for file in images_in_first(folder, subfolders):
@@ -100,8 +99,7 @@ def find_camera(
 ) -> Camera | Lens | None:
     """Intrinsics from the first `intrinsics.json` in these folders, else the known ones; scaled to the images.
 
-    Raises:
-        SequenceError: the file is there and damaged.
+    Raises SequenceError where the file is there and damaged.
     """
     described = next((file for folder in folders if (file := folder / "intrinsics.json").is_file()), None)
     camera = _read_intrinsics(described) if described else known
@@ -135,16 +133,10 @@ def _read_intrinsics(file: Path) -> Camera | Lens:
 
 
 def camera_of(where: str, size: Sequence[object], focal: Sequence[object], centre: Sequence[object]) -> Camera:
-    """The camera that a file states, in pixels; numbers, or text that is one.
+    """The camera that a file states: size, focal lengths and principal point in pixels, as numbers or text.
 
-    Args:
-        where: Begins the message of an error.
-        size: Width and height.
-        focal: fx and fy.
-        centre: cx and cy of the principal point, 0 at the centre of the first pixel.
-
-    Raises:
-        SequenceError: numbers that no camera has.
+    The centre of the first pixel is at (0, 0). Raises SequenceError for numbers that no camera has; `where` begins the
+    message.
     """
     stated = zip(("width", "height", "fx", "fy", "cx", "cy"), (*size, *focal, *centre), strict=True)
     width, height, *others = (parse_number(value, f"{where}: {name}") for name, value in stated)
@@ -157,8 +149,7 @@ def camera_of(where: str, size: Sequence[object], focal: Sequence[object], centr
 def lens_of(where: str, camera: Camera, model: DistortionModel, coefficients: Sequence[float]) -> Camera | Lens:
     """The lens of a camera; the camera itself where it does not distort.
 
-    Raises:
-        SequenceError: a distortion that no lens has. `where` begins the message.
+    Raises SequenceError for a distortion that no lens has. `where` begins the message.
     """
     if not any(coefficients) and model != "equidistant":
         return camera

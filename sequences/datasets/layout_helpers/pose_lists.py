@@ -36,16 +36,9 @@ def list_named(
 ) -> PosedImages:
     """Images in the order of their names, those of one folder as one sequence, without intrinsics yet.
 
-    Args:
-        layout: Name of the layout.
-        folder: Where the data set lies: no name leads out of it.
-        root: Folder that the names are relative to.
-        world_from_camera: One pose by the name of each image, or why it has none.
-        folders: Where other images than these should not be, beside their own folders: they are counted as left out.
-        notices: Sentences on skipped rows and images.
-
-    Raises:
-        SequenceError: a name leads out of the folder.
+    `world_from_camera` has one pose by the name of each image, relative to `root`, or why it has none. Other images in
+    their folders, and in further `folders`, are counted as left out. Raises SequenceError where a name leads out of
+    `folder`.
     """
     require_inside(folder, (root / name for name in world_from_camera))
     ordered = sorted(world_from_camera, key=lambda name: (natural(_folder(name)), natural(name)))
@@ -63,11 +56,7 @@ def list_numbered(
 ) -> PosedImages:
     """Images of sequences in the order of their numbers, without intrinsics yet.
 
-    Args:
-        layout: Name of the layout.
-        sequences: Of each, images and poses by their numbers.
-        skipped: Images and poses left out so far, by reason; those without their counterpart are added.
-        notices: Sentences on skipped rows and images.
+    Images without a pose, and poses without an image, are added to `skipped`.
     """
     files: list[Path] = []
     poses: list[Poses] = []
@@ -96,16 +85,8 @@ def list_stamped(
 ) -> PosedImages:
     """Images of a list with stamps, the true pose interpolated to each, without intrinsics yet.
 
-    Args:
-        layout: Name of the layout.
-        folder: Where the data set lies: no name leads out of it.
-        listing: The list.
-        root: Folder that the names are relative to.
-        read: Stamp, ns, and name in a line; takes the line and the beginning of errors.
-        truth: True poses.
-
-    Raises:
-        SequenceError: as `Rows`, or a name leads out of the folder.
+    `read` gives stamp, ns, and name, relative to `root`, of a line; it takes the line and the beginning of errors.
+    Raises SequenceError as `Rows`, and where a name leads out of `folder`.
     """
     rows, skipped = Rows("images"), Counter[str]()
     times_ns: list[int] = []
@@ -159,14 +140,10 @@ class NumberedLayout:
     levels: int
 
     def list_images(self, pose_files: Sequence[Path], unposed: Iterable[Path] = ()) -> PosedImages:
-        """Images of sequences, each in the folder of its pose file, camera-to-world poses as they stand.
+        """Images of sequences, each in the folder of its pose file, with camera-to-world poses as they stand.
 
-        Args:
-            pose_files: One a sequence, at least one.
-            unposed: Folders of sequences without one, if they are any: their images are counted as left out.
-
-        Raises:
-            SequenceError: a file is missing or damaged, or a frame is there twice.
+        Images of `unposed` folders are counted as left out. Raises SequenceError where a file is missing or damaged, or
+        a frame is there twice.
         """
         skipped = Counter({"no true pose": sum(len(images_in_first(each, self.image_folders)) for each in unposed)})
         notices: list[str] = []
@@ -180,7 +157,6 @@ class NumberedLayout:
         return images.with_camera(find_camera([first, *first.parents[: self.levels]], images.files))
 
     def _read(self, pose_file: Path, skipped: Counter[str], notices: list[str]) -> dict[int, Poses | str]:
-        """Poses, or why there is none, by the number of their frame."""
         poses: dict[int, Poses | str] = {}
         lines: dict[int, int] = {}
         sequence: int | None = None

@@ -17,18 +17,11 @@ _MAX_LENGTH_ERROR = 0.01  # of a quaternion; beyond, these are other numbers
 
 
 def read_pose_row(fields: Sequence[str], columns: str, where: str) -> Poses | str:
-    """The pose in a row of text: its rotation and translation as they stand, whichever way they map points.
+    """One pose from a row of text, whichever way it maps points, or the reason to leave its image out.
 
-    Args:
-        fields: The row.
-        columns: Names of its columns, with tx, ty, tz, qw, qx, qy and qz among them.
-        where: Begins the message of an error.
-
-    Returns:
-        One pose; the reason for which its image is left out where it is not finite, as of a frame that was not tracked.
-
-    Raises:
-        SequenceError: another number of columns, no number where one belongs, or no unit quaternion.
+    `columns` names the columns, with tx, ty, tz, qw, qx, qy and qz among them. A pose that is not finite, as of a frame
+    that was not tracked, gives a reason. Raises SequenceError for another number of columns, for text that is no number
+    and for a quaternion that is not of unit length; `where` begins the message.
     """
     names = columns.split()
     if len(fields) != len(names):
@@ -45,17 +38,10 @@ def read_pose_row(fields: Sequence[str], columns: str, where: str) -> Poses | st
 
 
 def read_pose_matrix(matrix: object, where: str) -> Poses | str:
-    """The pose of a 4 x 4 camera-to-world matrix, its rotation made exact; its axes as they stand.
+    """One pose from a 4 x 4 camera-to-world matrix, its rotation made exact, or the reason to leave its image out.
 
-    Args:
-        matrix: Rows of numbers.
-        where: Begins the message of an error.
-
-    Returns:
-        One pose; the reason for which its image is left out where it is not finite.
-
-    Raises:
-        SequenceError: no 4 x 4 numbers, or not those of a rotation and a translation.
+    A pose that is not finite gives a reason. Raises SequenceError for anything but a rotation and a translation.
+    `where` begins the message.
     """
     try:
         values = np.array(matrix, np.float64)
@@ -82,11 +68,7 @@ def _require_in_range(values: np.ndarray, where: str) -> None:
 
 
 def from_opengl(pose: Poses | str) -> Poses | str:
-    """The pose of a camera whose axes are OpenGL's (y up, z backward), with OpenCV's (y down, z forward).
-
-    Args:
-        pose: One pose; the reason for which there is none is given back.
-    """
+    """A pose with OpenCV's axes (y down, z forward) from one with OpenGL's (y up, z backward); reasons stay."""
     if isinstance(pose, str):
         return pose
     return Poses(pose.rotation * np.array([1.0, -1.0, -1.0]), pose.translation)

@@ -24,11 +24,7 @@ _NUMBERED = NumberedLayout(_NAME, "seq frame qw qx qy qz tx ty tz", ",", ("rgb_m
 
 
 def list_images(path: Path) -> PosedImages | None:
-    """Images of a sequence, or of all sequences of `train` or `test`; None where it is neither.
-
-    Raises:
-        SequenceError: a file is missing or damaged, or a frame is there twice.
-    """
+    """Images of a sequence, or of all sequences of `train` or `test`; None where it is neither."""
     if not path.is_dir():
         return None
     folders = [path]

@@ -36,11 +36,7 @@ _FARTHEST_M = 10_000.0
 
 
 def list_images(path: Path) -> PosedImages | None:
-    """Images of a split, given as the file that lists them; None where it is another file or a folder.
-
-    Raises:
-        SequenceError: most lines are damaged, an image is listed twice, or the header is missing.
-    """
+    """Images of a split, given as the file that lists them; None where it is another file or a folder."""
     if re.fullmatch(r"dataset_\w+\.txt", path.name) is None or not path.is_file():
         return None
     poses: dict[str, Poses | str] = {}
@@ -63,7 +59,6 @@ def list_images(path: Path) -> PosedImages | None:
 
 
 def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """Line and fields of each image behind the header."""
     for number, line in read_lines(path):
         fields = line.split()
         if number > _NUM_HEADER_LINES:

@@ -22,11 +22,7 @@ _NUMBERED = NumberedLayout(_NAME, "seq image tx ty tz qw qx qy qz", None, ("imag
 
 
 def list_images(path: Path) -> PosedImages | None:
-    """Images of a sequence, or of all sequences of `train` or `test`; None where it is neither.
-
-    Raises:
-        SequenceError: a file is missing or damaged, or a frame is there twice.
-    """
+    """Images of a sequence, or of all sequences of `train` or `test`; None where it is neither."""
     if (path / "poses.txt").is_file():
         return _NUMBERED.list_images([path / "poses.txt"])
     pose_files = sorted(path.glob("*/poses.txt"), key=lambda file: natural(file.parent.name))

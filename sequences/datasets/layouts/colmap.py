@@ -27,7 +27,6 @@ from filtering.se3 import Poses
 from sequences.datasets.layout import Layout, PosedImages
 from sequences.datasets.layout_helpers.colmap_binary import (
     LARGEST_ID,
-    NUM_PARAMETERS,
     UNDISTORTER,
     camera_rows,
     image_rows,
@@ -72,12 +71,7 @@ _ORDERS = {
 
 
 def list_images(path: Path) -> PosedImages | None:
-    """Images of a model; None where there is none.
-
-    Raises:
-        SequenceError: a file is cut off, a line is damaged, an image or a camera is there twice, a camera is missing
-            or of another kind, or no image is found.
-    """
+    """Images of a model; None where there is none."""
     models = [path, path / "sparse" / "0", path / "sparse"]
     files = [(m / f"cameras{suffix}", m / f"images{suffix}") for m in models for suffix in (".bin", ".txt")]
     found = next((both for both in files if all(file.is_file() for file in both)), None)
@@ -115,7 +109,6 @@ def _read_points(
 
 
 def _read_cameras(file: Path) -> dict[str, Camera | Lens]:
-    """Cameras by their ids."""
     cameras: dict[str, Camera | Lens] = {}
     text_rows = ((number, line.split()) for number, line in read_rows(file))
     for number, fields in camera_rows(file) if file.suffix == ".bin" else text_rows:
@@ -126,7 +119,10 @@ def _read_cameras(file: Path) -> dict[str, Camera | Lens]:
         if camera_id in cameras:
             raise SequenceError(f"{where}: camera {quoted(camera_id)} for the second time, expected it once")
         if model not in _MODELS:
-            raise SequenceError(f"{where}: {_way_out(model)}")
+            raise SequenceError(
+                f"{where}: camera model {quoted(model)} cannot be undistorted here, expected one of"
+                f" {', '.join(_MODELS)}; {UNDISTORTER}"
+            )
         num_focal, distortion, names = _MODELS[model]
         num_parameters = num_focal + 2 + len(names.split())
         parameters = parse_numbers(fields[4:], where, f"those of `{_CAMERA_COLUMNS}`")
@@ -138,18 +134,6 @@ def _read_cameras(file: Path) -> dict[str, Camera | Lens]:
         coefficients = [stated.get(name, 0.0) for name in _ORDERS[distortion].split()][: max(len(stated), 4)]
         cameras[camera_id] = lens_of(where, camera, distortion, coefficients)
     return cameras
-
-
-def _way_out(model: str) -> str:
-    """The end of the error for a camera model that cannot be undistorted here."""
-    if model not in NUM_PARAMETERS:
-        return f"camera model {quoted(model)} is unknown, expected one of COLMAP's, such as {', '.join([*_MODELS][:5])}"
-    if model == "EQUIRECTANGULAR":
-        return (
-            f"camera model {model} is of panoramas, expected perspective images: COLMAP's example panorama_sfm.py"
-            " renders them"
-        )
-    return f"camera model {model} cannot be undistorted here; {UNDISTORTER}"
 
 
 def _read_images(
@@ -183,7 +167,6 @@ def _read_images(
 
 
 def _text_keypoints(file: Path) -> Iterator[tuple[str, Float64[np.ndarray, "k 2"], Int64[np.ndarray, " k"]]]:
-    """Name of each image, and X and Y of the keypoints that are of a point, with its POINT3D_ID."""
     for number, fields, keypoints in _text_images(file):
         where = f"{file}:{number + 1}"
         of_points = [each for each in zip(*3 * [iter(keypoints)], strict=True) if not each[2].startswith("-")]

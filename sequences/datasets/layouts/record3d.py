@@ -32,11 +32,7 @@ _PLACES = (("metadata", "rgbd"), ("metadata.json", "rgb"), ("metadata.json", "rg
 
 
 def list_images(path: Path) -> PosedImages | None:
-    """Images of a recording; None where it is of another layout.
-
-    Raises:
-        SequenceError: a file is missing or damaged.
-    """
+    """Images of a recording; None where it is of another layout."""
     found = _find(path)
     if found is None:
         return None

@@ -26,11 +26,7 @@ _CAMERA = Camera(640, 480, 585.0, 585.0, 320.0, 240.0)
 
 
 def list_images(path: Path) -> PosedImages | None:
-    """Images of a sequence, of all sequences of a scene, or of those that a split names; None where it is none of them.
-
-    Raises:
-        SequenceError: a file is missing or damaged, or a split names a sequence that is not there, or names it twice.
-    """
+    """Images of a sequence, of a scene, or of the sequences that a split names; None for any other path."""
     sequences = _split(path) if path.name.endswith("Split.txt") and path.is_file() else _sequences(path)
     return _list(sequences) if sequences else None
 

@@ -33,11 +33,7 @@ _FOCAL = ["fx", "fy", "cx", "cy"]
 
 
 def list_images(path: Path) -> PosedImages | None:
-    """Images of a recording; None where it is of another layout.
-
-    Raises:
-        SequenceError: a file is missing or damaged, or a frame is there twice.
-    """
+    """Images of a recording; None where it is of another layout."""
     if not ((path / "odometry.csv").is_file() and (path / "camera_matrix.csv").is_file()):
         return None
     skipped: Counter[str] = Counter()
@@ -115,7 +111,6 @@ class _Frames:
 
 
 def _table(file: Path) -> tuple[list[str], list[tuple[int, str]]]:
-    """Names in the header, and the rows behind it with the numbers of their lines."""
     lines = list(read_rows(file))
     if not lines:
         raise SequenceError(f"{file}: empty, expected the header `{', '.join(_COLUMNS)}` and rows")

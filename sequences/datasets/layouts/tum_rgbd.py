@@ -26,11 +26,7 @@ _CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)
 
 
 def list_images(path: Path) -> PosedImages | None:
-    """Images of a folder, the true pose interpolated to each one's time; None where it is of another layout.
-
-    Raises:
-        SequenceError: a file is missing or damaged.
-    """
+    """Images of a folder, the true pose interpolated to each one's time; None where it is of another layout."""
     if not ((path / "rgb.txt").is_file() and (path / "groundtruth.txt").is_file()):
         return None
     truth_rows = Rows("true poses")

@@ -11,18 +11,13 @@ import numpy as np
 
 from sequences.rendering import texture
 from sequences.rendering.mesh import Part
-from sequences.rendering.texture import Canvas, Material, band, blend, inside, plain, weathered
+from sequences.rendering.texture import Canvas, Material, band, blend, inside, plain, rim, weathered
 from sequences.scenes.building.paint import FINE_TEXEL_M, Rgb, artwork, colour, scaled
 
 
 @dataclass(frozen=True)
 class Piece:
-    """A piece of furniture.
-
-    Attributes:
-        part: Its triangles and paint.
-        width, depth, height: The box around it, metres, from x = y = z = 0.
-    """
+    """A piece of furniture, and the box around it, metres, from x = y = z = 0."""
 
     part: Part
     width: float
@@ -81,8 +76,7 @@ def _whiteboard(canvas: Canvas) -> np.ndarray:
     lines = (np.sin(canvas.y * 2 * np.pi / 0.13) > 0.75) & (canvas.noise(0.15, 0.05) > 0.1)
     written = inside(canvas, 0.15, 0.3, 0.7 * canvas.width_m, canvas.height_m - 0.12) * lines
     base = blend(base, (0.05, 0.07, 0.3), 0.8 * written)
-    rim = 1 - inside(canvas, 0.03, 0.03, canvas.width_m - 0.03, canvas.height_m - 0.03)
-    return blend(base, (0.25, 0.25, 0.25), rim)
+    return blend(base, (0.25, 0.25, 0.25), rim(canvas, 0.03))
 
 
 def _leaves(canvas: Canvas) -> np.ndarray:
@@ -311,17 +305,9 @@ WANTED = {
     "store": ("rack", "rack", "boxes", "rack", "boxes", "lockers", "rack", "rack", "boxes", "bin"),
     "library": ("shelf", "shelf", "shelf", "shelf", "armchair", "shelf", "shelf", "plant", "shelf", "shelf"),
 }
-"""Furniture of each kind of room, in this order, as far as there is space."""
+"""Furniture along the walls of each kind of room, in this order, as far as there is space."""
 
-MIDDLE = {
-    "office": "place",
-    "bedroom": "rug",
-    "kitchen": "dining",
-    "class": "place",
-    "living": "low table",
-    "store": "crates",
-    "library": "dining",
-}
+MIDDLE = dict(zip(WANTED, ("place", "rug", "dining", "place", "low table", "crates", "dining"), strict=True))
 """Furniture in the middle of each kind of room, once or in rows."""
 
 

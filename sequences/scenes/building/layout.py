@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
@@ -11,7 +12,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from sequences.scenes.building.furniture import MIDDLE, WANTED, Piece, draw_furniture, radiator
-from sequences.scenes.building.plan import DOOR_WIDTH, Plan, Slot, Spot, resampled
+from sequences.scenes.building.plan import DOOR_WIDTH, Plan, Slot, Spot
+from sequences.scenes.lines import resampled
 
 Rectangle: TypeAlias = tuple[float, float, float, float]
 Box: TypeAlias = tuple[float, float, float, float, float]
@@ -25,16 +27,11 @@ _TRIES = 40  # places tried for a piece of furniture
 
 @dataclass(frozen=True)
 class Layout:
-    """A room, in its own frame: x along the wall with the door, from 0, y away from it.
+    """A room in its own frame, metres: x along the wall with the door, from 0, y away from it.
 
-    Attributes:
-        width, depth: Inner size in x and y, metres.
-        door: x of the middle of the door.
-        walkway: Path from the door on, metres, clear of walls and furniture.
-        pieces: Furniture and its places.
-        boxes: The footprint (x0, y0, x1, y1) and height of each piece, metres.
-        windows: x0, x1, z0, z1 of each in the wall opposite the door.
-        leaf: x0, x1 of the door's leaf, open along the wall; None where it has no space.
+    The middle of the door is at x = `door`. The walkway leads from it, clear of walls and furniture. Boxes are the
+    footprint (x0, y0, x1, y1) and height of each piece of furniture; windows, opposite the door, are x0, x1, z0, z1.
+    The door's leaf stands open along the wall from x0 to x1; None where it has no space.
     """
 
     width: float
@@ -53,9 +50,8 @@ def pieces_of(plan: Plan) -> dict[str, Piece]:
     return {**draw_furniture(plan.rng(2)), "radiator": radiator()}
 
 
-@cache
 def layout(plan: Plan, slot: Slot, style: int) -> Layout:
-    """The room behind a slot on the levels of one style."""
+    """The room behind a slot on the levels of one style; the same object for rooms that are alike."""
     width, depth = round(slot.end - slot.begin - plan.wall, 6), plan.depth(slot)
     near = slot.door - slot.begin - plan.wall / 2
     return _layout(plan, width, depth, round(near if slot.high else width - near, 6), slot.look, slot.variant, style)
@@ -89,25 +85,22 @@ def _layout(plan: Plan, width: float, depth: float, door: float, look: int, vari
                 taken.append(box)
                 break
     if middle is not None:
-        for name, spot, box in _in_rows(pieces[MIDDLE[kind]], MIDDLE[kind], middle):
-            placed.append((name, spot))
+        for spot, box in _in_rows(pieces[MIDDLE[kind]], middle):
+            placed.append((MIDDLE[kind], spot))
             taken.append(box)
     boxes = np.array(taken).reshape(-1, 5)
     return Layout(width, depth, door, walkway, tuple(placed), boxes, tuple(windows), leaf)
 
 
-def _in_rows(piece: Piece, name: str, middle: Rectangle) -> list[tuple[str, Spot, Box]]:
+def _in_rows(piece: Piece, middle: Rectangle) -> Iterator[tuple[Spot, Box]]:
     """As many pieces, up to nine, as fit into the middle of a room, in rows; each with the box that it takes."""
     x0, y0, x1, y1 = middle
     sides = (x1 - x0, piece.width), (y1 - y0, piece.depth)
     across, along = (min(3, int((space + 0.3) / (size + 0.3))) for space, size in sides)
-    rows = []
-    for i in range(across):
-        for j in range(along):
-            x = x0 + (x1 - x0) * (i + 0.5) / across - piece.width / 2
-            y = y0 + (y1 - y0) * (j + 0.5) / along - piece.depth / 2
-            rows.append((name, Spot(x, y, 0.0), (x, y, x + piece.width, y + piece.depth, piece.height)))
-    return rows
+    for i, j in np.ndindex(across, along):
+        x = x0 + (x1 - x0) * (i + 0.5) / across - piece.width / 2
+        y = y0 + (y1 - y0) * (j + 0.5) / along - piece.depth / 2
+        yield Spot(x, y, 0.0), (x, y, x + piece.width, y + piece.depth, piece.height)
 
 
 def _walkway(

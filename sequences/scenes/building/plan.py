@@ -38,33 +38,13 @@ class Spot:
         return xy @ np.array([[cos, sin], [-sin, cos]]) + np.array([self.x, self.y])
 
 
-def distances_along(line: Float64[np.ndarray, "n k"]) -> Float64[np.ndarray, " n"]:
-    """Distance of each point of a line from its first one."""
-    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
-
-
-def points_at(line: Float64[np.ndarray, "n k"], distances: Float64[np.ndarray, " m"]) -> Float64[np.ndarray, "m k"]:
-    """Points at distances along a line."""
-    walked = distances_along(line)
-    return np.stack([np.interp(distances, walked, values) for values in line.T], axis=1)
-
-
-def resampled(line: Float64[np.ndarray, "n k"], spacing: float) -> Float64[np.ndarray, "m k"]:
-    """The same line with points at even distances."""
-    return points_at(line, np.arange(0.0, distances_along(line)[-1], spacing))
-
-
 @dataclass(frozen=True)
 class Slot:
-    """A segment of one side of a corridor, and the space behind it.
+    """A segment of one side of a corridor, of high y or low y of the block, and the kind of space behind it.
 
-    Attributes:
-        kind: Of the space behind it.
-        high: On the side of high y of the block, or of low y.
-        begin, end: Where along the corridor, metres.
-        door: Centre of the door along the corridor; of stairs and wings the middle.
-        look: Which of the building's kinds of rooms; of a closed door, how its leaf is painted.
-        variant: 0 for rooms that are furnished alike; any other number for one that is furnished in its own way.
+    It runs from `begin` to `end` along the corridor, metres, with a door centred on `door`: stairs and wings have their
+    middle there. `look` chooses the building's kind of rooms, or the paint of a closed door. Rooms of variant 0 are
+    furnished alike, those of any other number each in its own way.
     """
 
     kind: SlotKind
@@ -78,13 +58,9 @@ class Slot:
 
 @dataclass(frozen=True)
 class Block:
-    """A corridor with slots.
+    """A corridor of a length and width in metres, with slots along its sides; the frame is in the world.
 
-    Attributes:
-        frame: Of the block in the world.
-        length, width: Of the corridor, metres.
-        slots: Along its sides.
-        open_start: Whether it begins at the opening of another block and has no wall there.
+    With `open_start` it begins at the opening of another block and has no wall there.
     """
 
     frame: Spot
@@ -139,20 +115,13 @@ class Stairs:
 
 @dataclass(frozen=True)
 class Plan:
-    """The shape of a building.
+    """The shape of a building, by its number, in metres.
 
-    Attributes:
-        number: Of the building.
-        levels: Number of floors.
-        storey, slab: From floor to floor, and thickness of the floor between, metres.
-        wall: Thickness of the walls, metres.
-        blocks: The main corridor, and its wing if any.
-        depth_high, depth_low: Of the rooms on either side, metres.
-        stairs: All stairwells are alike.
-        kinds: Kinds of rooms; a slot's `look` is an index into it.
-        styles: Palette of each level; levels of one palette look the same but for unique things.
-        cues_per_level: Mean number of unique things on a level.
-        signs: Whether the number of the level is painted by the stairs.
+    A storey measures `storey` from floor to floor, of which `slab` is the floor between. Walls are `wall` thick, and
+    rooms `depth_high` and `depth_low` deep on either side of a corridor. The blocks are the main corridor and its wing,
+    if any; all stairwells are alike. `kinds` are kinds of rooms, to which a slot's `look` is an index. `styles` names
+    the palette of each level; levels of one palette look the same but for unique things. With `signs`, the number of
+    the level is painted by the stairs.
     """
 
     number: int

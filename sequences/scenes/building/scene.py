@@ -135,7 +135,7 @@ def draw_scene(number: int) -> Scene:
         seed_numbers=(_SEED_NUMBER, number),
         placements=lambda split, seed: placements(plan, draw_visit(plan, split, seed)),
         path=lambda duration_s, split, seed, rng: walk_building(
-            plan, draw_visit(plan, split, seed), duration_s, training=split == "train", seed=seed, rng=rng
+            plan, draw_visit(plan, split, seed), duration_s, rng=rng
         ),
         field_of_view_deg=float(field_of_view),
         base_from_camera=mounted((float(mount[0]), float(mount[1]), float(mount[2])), float(toward), float(down)),

@@ -157,12 +157,12 @@ def place_stairwells(plan: Plan, looks: Looks) -> list[Placement]:
     levels, top, palette = list(range(plan.levels)), plan.levels - 1, looks.palettes[0]
     return [
         place_copies(_storey_walls(plan, palette), spots, levels, plan),
-        place_copies(_landing(plan, looks, palette), spots, levels[1:], plan),
+        place_copies(_landing(plan, palette), spots, levels[1:], plan),
         place_copies(_flights(plan, looks, palette), spots, levels[:-1], plan),
         place_copies(_bottom(plan, palette), spots, [0], plan),
         place_copies(_landing_lamp(plan, looks), spots, levels[:-1], plan),
         place_copies(_top(plan, looks, palette), spots, [top], plan),
-        place_copies(_low_panel(plan, palette), spots, [0], plan),
+        place_copies(_low_panel(plan), spots, [0], plan),
         place_copies(_guard(plan, palette), spots, [top], plan),
     ]
 
@@ -177,7 +177,7 @@ def _storey_walls(plan: Plan, palette: Palette) -> Part:
     return part
 
 
-def _landing(plan: Plan, looks: Looks, palette: Palette) -> Part:
+def _landing(plan: Plan, palette: Palette) -> Part:
     part, stairs = Part(), plan.stairs
     low, high = (0.0, 0.0, -plan.slab), (stairs.width, stairs.landing, 0.0)
     part.box(low, high, palette.stair_floor, "Z")
@@ -187,8 +187,9 @@ def _landing(plan: Plan, looks: Looks, palette: Palette) -> Part:
 
 def _landing_lamp(plan: Plan, looks: Looks) -> Part:
     part, x, y, z = Part(), plan.stairs.width / 2, plan.stairs.landing / 2, plan.clear
-    part.box((x - 0.3, y - 0.3, z - 0.07), (x + 0.3, y + 0.3, z), looks.lamp, "z")
-    part.box((x - 0.3, y - 0.3, z - 0.07), (x + 0.3, y + 0.3, z), plain((0.55, 0.55, 0.53)), "xXyY")
+    box = (x - 0.3, y - 0.3, z - 0.07), (x + 0.3, y + 0.3, z)
+    part.box(*box, looks.lamp, "z")
+    part.box(*box, plain((0.55, 0.55, 0.53)), "xXyY")
     return part
 
 
@@ -272,7 +273,7 @@ def _top(plan: Plan, looks: Looks, palette: Palette) -> Part:
     return part
 
 
-def _low_panel(plan: Plan, palette: Palette) -> Part:
+def _low_panel(plan: Plan) -> Part:
     """A panel below the lowest flight that comes down."""
     part, stairs = Part(cue=True), plan.stairs
     (a, b), inner = stairs.down_x, stairs.up_x[0] if stairs.mirrored else stairs.up_x[1]

@@ -15,8 +15,9 @@ from sequences.rendering.mesh import Part
 from sequences.rendering.texture import plain
 from sequences.scenes.building.layout import layout
 from sequences.scenes.building.paint import colour
-from sequences.scenes.building.plan import Plan, Spot, distances_along, points_at, resampled
+from sequences.scenes.building.plan import Plan, Spot
 from sequences.scenes.building.ways import ASIDE_M, Station, Ways, ways
+from sequences.scenes.lines import distances_along, points_at, resampled
 from sequences.scenes.scene import SPLITS
 
 PERSON_RADIUS = 0.27  # of a circle around a person, metres
@@ -90,17 +91,17 @@ def _all_ways(plan: Plan) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Visit:
-    """Light and people of one walk through a building.
+    """A walk through a building, of a seed: its light and people.
 
-    Attributes:
-        lamps, daylight: Brightness, 1 as usual.
-        tint: Colour of the lamps.
-        people: Level, place in the world, and seed of the looks of each person.
+    Lamps and daylight are as bright as usual at 1; the tint is the colour of the lamps. People have a level, a place in
+    the world, and a seed of their looks.
     """
 
-    lamps: float = 1.0
-    daylight: float = 1.0
-    tint: tuple[float, float, float] = (1.0, 0.95, 0.88)
+    is_training: bool
+    seed: int
+    lamps: float
+    daylight: float
+    tint: tuple[float, float, float]
     people: tuple[tuple[int, Spot, int], ...] = ()
 
 
@@ -110,9 +111,10 @@ def draw_visit(plan: Plan, split: str, seed: int) -> Visit:
     rng = plan.rng(16, SPLITS[split], seed)
     colour = (1.0, rng.uniform(0.85, 1.0), rng.uniform(0.7, 1.0))
     if split == "train":
-        return Visit(rng.uniform(0.8, 1.2), rng.uniform(0.5, 1.1), colour)
+        return Visit(True, seed, rng.uniform(0.8, 1.2), rng.uniform(0.5, 1.1), colour)
     hour = float(rng.choice([0.02, 0.25, 0.8, 1.6]))  # night, dusk, overcast, sun
-    return Visit(rng.uniform(0.5, 1.3), hour * rng.uniform(0.8, 1.25), colour, draw_people(plan, rng))
+    lamps, daylight = rng.uniform(0.5, 1.3), hour * rng.uniform(0.8, 1.25)
+    return Visit(False, seed, lamps, daylight, colour, draw_people(plan, rng))
 
 
 TRAINING_WALKS = 5
@@ -123,33 +125,23 @@ _BEFORE_TURN_M = 1.3
 _ROUND_M = 0.16  # how much corners are rounded
 
 
-def draw_line(
-    plan: Plan, visit: Visit, length_m: float, training: bool, seed: int, rng: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray]:
+def draw_line(plan: Plan, visit: Visit, length_m: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """A line (n, 3) with points every 2 cm that is at least so long, and how far one can come off it (n,)."""
     net, skipped = ways(plan), rng.uniform(0.0, 4.0)
-    corners, free, walked = [], [], 0.0
+    corners, free = np.empty((0, 3)), np.empty(0)
     before: int | None = None
-    for station in _stations(net, training, seed, rng):
+    for station in _stations(net, visit, rng):
         nodes = net.way(before, station.node)[1:] if before is not None else [station.node]
-        for point, freedom in [
-            *((net.points[node], net.freedom[node]) for node in nodes),
-            *((point, ASIDE_M) for point in station.visit[1:]),
-        ]:
-            if corners:
-                step = float(np.linalg.norm(point - corners[-1]))
-                if step < 1e-6:
-                    continue
-                walked += step
-            corners.append(point)
-            free.append(freedom)
+        corners = np.concatenate([corners, net.points[nodes], station.visit[1:]])
+        free = np.concatenate([free, net.freedom[nodes], np.full(len(station.visit) - 1, ASIDE_M)])
         before = station.node
-        if walked > length_m + skipped + 1.0:
+        if distances_along(corners)[-1] > length_m + skipped + 1.0:
             break
-    rough = np.array(corners)
-    line, fine = resampled(rough, FINE_M), distances_along(rough)
-    segment = np.clip(np.searchsorted(fine, np.arange(0.0, fine[-1], FINE_M), side="right"), 1, len(fine) - 1)
-    freedom = np.minimum(np.array(free)[segment - 1], np.array(free)[segment])
+    moves = np.linalg.norm(np.diff(corners, axis=0, prepend=np.inf), axis=1) >= 1e-6
+    corners, free = corners[moves], free[moves]
+    line, walked = resampled(corners, FINE_M), distances_along(corners)
+    segment = np.clip(np.searchsorted(walked, np.arange(0.0, walked[-1], FINE_M), side="right"), 1, len(walked) - 1)
+    freedom = np.minimum(free[segment - 1], free[segment])
     for level, spot, _ in visit.people:
         near = np.linalg.norm(line - (spot.x, spot.y, level * plan.storey), axis=1) < 1.0
         freedom[near] = ASIDE_M
@@ -165,14 +157,13 @@ def draw_line(
     return points_at(line, at), np.interp(at, again, freedom)
 
 
-def _stations(net: Ways, training: bool, seed: int, rng: np.random.Generator) -> Iterator[Station]:
+def _stations(net: Ways, visit: Visit, rng: np.random.Generator) -> Iterator[Station]:
     """The stations of a walk, without end."""
     count = len(net.tour)
-    if training:
-        fraction = (seed % TRAINING_WALKS) / TRAINING_WALKS
-        first = int(np.searchsorted(net.lengths_m(), fraction * net.tour_m))
-        way = 1 if seed // TRAINING_WALKS % 2 == 0 else -1
-        k = first
+    if visit.is_training:
+        lengths_m = net.lengths_m()
+        k = int(np.searchsorted(lengths_m, (visit.seed % TRAINING_WALKS) / TRAINING_WALKS * lengths_m[-1]))
+        way = 1 if visit.seed // TRAINING_WALKS % 2 == 0 else -1
         while True:
             yield net.tour[k % count]
             k += way
@@ -187,28 +178,18 @@ def _stations(net: Ways, training: bool, seed: int, rng: np.random.Generator) ->
 _BRAKING_M_PER_S2 = 0.6
 
 
-def walk_building(
-    plan: Plan, visit: Visit, duration_s: float, *, training: bool, seed: int, rng: np.random.Generator
-) -> Poses:
+def walk_building(plan: Plan, visit: Visit, duration_s: float, *, rng: np.random.Generator) -> Poses:
     """Someone going through a building: world_from_base every 20 ms, x forward, z up, on the floor.
 
     Training walks follow a tour of the whole building, either way; those of `TRAINING_WALKS` seeds in a row begin
-    evenly spread over it. Other walks go from one random place to another.
-
-    Args:
-        plan: The building.
-        visit: Who stands in the way.
-        duration_s: How long.
-        training: Whether to follow the tour.
-        seed: Where on the tour a training walk begins.
-        rng: Of all that is random.
+    evenly spread over it. Other walks go from one random place to another. People stand in the way.
     """
     steps = int(np.ceil(duration_s / STEP_S)) + 1
     manner = plan.rng(14)  # wheels roll, legs sway
     sway, tilt = float(manner.uniform(0.0, 0.02)), float(manner.uniform(0.002, 0.02))
-    pace = float(rng.uniform(0.45, 1.0) if training else rng.uniform(0.4, 1.05))
+    pace = float(rng.uniform(0.45, 1.0) if visit.is_training else rng.uniform(0.4, 1.05))
     quickest = rng.uniform(0.9, 1.7)  # turn, rad/s
-    line, freedom = draw_line(plan, visit, 1.15 * pace * duration_s + 3.0, training, seed, rng)
+    line, freedom = draw_line(plan, visit, 1.15 * pace * duration_s + 3.0, rng)
     heading, fastest = _headings(line)
     wanted = pace * np.clip(1 + 0.08 * wander(steps, 5.0, rng), 0.85, 1.15)
     chance = rng.random((steps, 2))

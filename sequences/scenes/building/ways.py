@@ -13,6 +13,7 @@ from scipy.sparse.csgraph import shortest_path
 
 from sequences.scenes.building.layout import layout
 from sequences.scenes.building.plan import Block, Plan, Slot, Spot
+from sequences.scenes.lines import distances_along
 
 ASIDE_M = 0.05  # how far one comes off the way in doors, on stairs and in rooms
 _WIDE_M = 0.4  # and at most in corridors
@@ -23,9 +24,7 @@ _CORRIDOR_M = 0.6  # that always stay to its walls
 class Station:
     """Somewhere to go: a room, an end of a corridor, a half landing.
 
-    Attributes:
-        node: Where the way there ends.
-        visit: What is walked there, from the node back to it, metres; the node alone where there is nothing more.
+    The way there ends at a node; a visit is the line from the node back to it, metres, or the node alone.
     """
 
     node: int
@@ -34,14 +33,10 @@ class Station:
 
 @dataclass(frozen=True)
 class Ways:
-    """A graph of paths through a building.
+    """A graph of paths through a building, metres.
 
-    Attributes:
-        points: Nodes, metres, on the floor or the middle of the steps.
-        freedom: Sideways distance that is free at each node, metres.
-        before: Last node before j of the shortest path from node i to node j.
-        far: Length of that path, metres.
-        tour: Stations in the order of a tour of the whole building.
+    Nodes lie on the floor or the middle of the steps, with a sideways freedom at each. The shortest path from node i to
+    node j has the length `far` and the last node `before` j. The tour leads through the whole building.
     """
 
     points: Float64[np.ndarray, "n 3"]
@@ -57,17 +52,11 @@ class Ways:
             nodes.append(int(self.before[begin, nodes[-1]]))
         return nodes[::-1]
 
-    def lengths_m(self) -> Float64[np.ndarray, " n"]:
-        """Distance along the tour at which each station is set off for."""
-        nodes = [station.node for station in self.tour]
-        inside = [float(np.linalg.norm(np.diff(s.visit, axis=0), axis=1).sum()) for s in self.tour]
-        return np.concatenate([[0.0], np.cumsum([self.far[a, b] for a, b in pairwise(nodes)] + np.array(inside[:-1]))])
-
-    @property
-    def tour_m(self) -> float:
-        """Length of the whole tour."""
-        last = float(np.linalg.norm(np.diff(self.tour[-1].visit, axis=0), axis=1).sum())
-        return float(self.lengths_m()[-1]) + last + float(self.far[self.tour[-1].node, self.tour[0].node])
+    def lengths_m(self) -> Float64[np.ndarray, " n1"]:
+        """Distance along the tour at which each station is set off for, and its whole length, back to the first."""
+        nodes = np.array([station.node for station in self.tour])
+        inside = [distances_along(station.visit)[-1] for station in self.tour]
+        return np.concatenate([[0.0], np.cumsum(self.far[nodes, np.roll(nodes, -1)] + inside)])
 
 
 class _Net:

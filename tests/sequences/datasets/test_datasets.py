@@ -2,7 +2,6 @@
 
 import json
 import re
-from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 
@@ -22,18 +21,9 @@ from sequences.reader import SequenceReader
 from sequences.recordings.bag import Bag
 from sequences.trajectories.tum import write_tum
 from tests.helpers.data_sets import STEP_NS, make_7scenes, make_tum, same, truth_at
-from tests.helpers.sequence_files import BEGIN_NS, FORMS, Walk, rewrite, world_from_camera
+from tests.helpers.sequence_files import BEGIN_NS, Walk, rewrite, world_from_camera
 
 # --- training --------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("form", FORMS)
-def test_mcap_in_every_form_gives_posed_frames(form: Callable[[Path, Path], Path], tmp_path: Path) -> None:
-    path = form(Walk().write(tmp_path / "walk.mcap"), tmp_path)
-    assert len(list(posed_frames(path))) == 12
-    frames = list(posed_frames(path, frames=slice(2, 9, 3)))
-    assert [(frame.time_ns - BEGIN_NS) // 100_000_000 for frame in frames] == [2, 5, 8]
-    assert all(same(f.world_from_camera, world_from_camera(f.time_ns), 1e-9) and f.odometry is None for f in frames)
 
 
 def test_mcap_frames_without_a_true_pose_are_left_out(tmp_path: Path) -> None:
@@ -59,14 +49,6 @@ def test_a_tum_folder_gives_frames_with_interpolated_poses(tmp_path: Path) -> No
     # The known camera of freiburg1 at a twentieth of its size.
     assert (camera.width, camera.height) == (32, 24)
     np.testing.assert_allclose([camera.fx, camera.cx], [517.3 / 20, 319.1 / 20 - 0.5])
-
-
-def test_tum_images_in_a_gap_of_the_true_poses_are_left_out(tmp_path: Path) -> None:
-    folder = make_tum(tmp_path / "tum")
-    times_ns = [t for t in range(BEGIN_NS, BEGIN_NS + 400_000_000, 10_000_000) if not 70 < (t - BEGIN_NS) / 1e6 < 190]
-    write_tum(folder / "groundtruth.txt", truth_at(times_ns))
-    indices = [int(frame.image[0, 0, 0]) // 10 for frame in posed_frames(folder)]
-    assert indices == [0, 1, 2, 6, 7, 8, 9]
 
 
 def test_what_is_left_out_of_frames_is_counted(tmp_path: Path) -> None:
@@ -104,14 +86,6 @@ def test_a_7_scenes_folder_gives_frames_of_a_sequence_or_of_all(sequence: str, t
         assert same(frame.world_from_camera, world_from_camera(BEGIN_NS + (i % 10) * STEP_NS), 1e-12)
         assert frame.camera is not None
         assert (frame.camera.width, frame.camera.fx, frame.camera.cx) == (32, 29.25, 15.5)
-
-
-def test_7_scenes_frames_without_a_pose_or_of_lost_tracking_are_left_out(tmp_path: Path) -> None:
-    scene = make_7scenes(tmp_path / "scene")
-    (scene / "seq-01" / "frame-000003.pose.txt").write_text("nan nan nan nan\n" * 4)
-    (scene / "seq-01" / "frame-000004.pose.txt").unlink()
-    (scene / "seq-01" / "frame-000005.color.png").write_bytes(b"no image")
-    assert [int(f.image[0, 0, 0]) // 10 for f in posed_frames(scene)] == [0, 1, 2, 6, 7, 8, 9]
 
 
 @pytest.mark.parametrize(
@@ -270,14 +244,6 @@ def test_real_tum_images_and_odometry_convert(shared_data: Path, tmp_path: Path)
     assert np.median([e[0] for e in errors]) < 0.005
     moved = [true.distance(Poses.identity())[0] for _, true in camera_increments(output)]
     assert np.median(moved) > 0.007
-
-
-def test_real_7_scenes_images_have_their_poses(shared_data: Path) -> None:
-    frames = list(posed_frames(shared_data / "7scenes_redkitchen", frames=slice(100, 130, 10)))
-    assert [frame.time_ns for frame in frames] == [i * 1_000_000_000 // 30 for i in (100, 110, 120)]
-    assert frames[0].image.shape == (256, 341, 3)
-    assert frames[0].camera is not None
-    np.testing.assert_allclose(frames[0].camera.fx, 311.695, atol=0.01)
 
 
 # --- odometry of posed frames ----------------------------------------------------------------------

@@ -12,11 +12,8 @@ from sequences.datasets.frames import posed_frames
 from sequences.datasets.listing import files_read, find_layouts, is_recording, list_images
 from sequences.errors import SequenceError
 from tests.helpers.data_sets import (
-    make_tum,
-    same,
     write_image,
 )
-from tests.helpers.dot_scene import refuse
 
 
 def test_a_folder_or_file_of_no_layout_is_told_what_was_looked_for(tmp_path: Path) -> None:
@@ -32,20 +29,6 @@ def test_a_folder_or_file_of_no_layout_is_told_what_was_looked_for(tmp_path: Pat
         assert file in str(error.value)
     with pytest.raises(SequenceError, match="no such folder"):
         list(posed_frames(tmp_path / "nowhere"))
-
-
-def test_stamped_data_says_that_its_stamps_are_not_assumed(tmp_path: Path) -> None:
-    images = list_images(make_tum(tmp_path / "tum"))
-    assert (images.layout, images.assumed_hz, len(images.cameras)) == ("TUM RGB-D", None, 10)
-    some = images[2:8:3]
-    assert [file.name for file in some.files] == [images.files[2].name, images.files[5].name]
-    assert same(some.world_from_camera, images.world_from_camera[[2, 5]], 1e-12)
-
-
-def test_layouts_are_asked_in_an_order_that_each_of_them_states() -> None:
-    orders = [layout.order for layout in find_layouts()]
-    assert orders == sorted(set(orders))
-    assert len(orders) == 10
 
 
 NEW_LAYOUT = """
@@ -94,7 +77,3 @@ def test_layouts_are_not_imported_before_a_data_set_is_read() -> None:
     imported = "[name for name in sys.modules if name.startswith('sequences.datasets.layouts.')]"
     program = f"import sys; from sequences.datasets import frames; assert not {imported}"
     subprocess.run([sys.executable, "-c", program], check=True)
-
-
-def test_a_folder_of_no_layout_is_told_of_these_too(tmp_path: Path) -> None:
-    refuse(tmp_path, "mav0/cam0/data.csv", "odometry.csv", ".r3d", "transforms.json", "images.bin")

@@ -23,52 +23,54 @@ from tests.helpers.data_sets import (
 )
 from tests.helpers.dot_scene import leaves_out
 
-NUMBERED = pytest.mark.parametrize(
-    ("make", "folder", "poses", "image"),
-    [
-        (make_ambiguous, "seq00", "poses_seq00.txt", "rgb_matched/frame-color-0004.png"),
-        (make_ceiling, "0", "poses.txt", "images/000004.jpg"),
-    ],
+
+@pytest.fixture(
+    params=[
+        (make_ambiguous, "seq00/poses_seq00.txt", "rgb_matched/frame-color-0004.png"),
+        (make_ceiling, "0/poses.txt", "images/000004.jpg"),
+    ]
 )
+def numbered(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Path, Path]:
+    """The file of poses of a sequence, and its image of frame 4."""
+    make, poses, image = request.param
+    file = make(tmp_path / "scene") / "train" / poses
+    return file, file.parent / image
 
 
-@NUMBERED
-def test_numbered_frames_of_a_sequence_or_a_split(
-    make: Callable[[Path], Path], folder: str, poses: str, image: str, tmp_path: Path
-) -> None:
-    scene = make(tmp_path / "scene")
+def test_numbered_frames_of_a_sequence_or_a_split(numbered: tuple[Path, Path]) -> None:
+    sequence = numbered[0].parent
+    scene = sequence.parent.parent
     first = [3 * THIRTIETH_NS, 4 * THIRTIETH_NS, 17 * THIRTIETH_NS]
-    check(scene / "train" / folder, [0, 1, 2], first)
+    check(sequence, [0, 1, 2], first)
     check(scene / "train", [0, 1, 2, 3, 4], [*first, first[-1] + 1e9, first[-1] + 1e9 + THIRTIETH_NS])
     check(scene / "test", [5], [0])
-    assert list_images(scene / "test").layout == {"poses.txt": "Ceiling"}.get(poses, "Ambiguous Relocalization")
+    assert list_images(scene / "test").layout == {"poses.txt": "Ceiling"}.get(
+        numbered[0].name, "Ambiguous Relocalization"
+    )
     assert list_images(scene / "test").assumed_hz == 30
     with pytest.raises(SequenceError, match=r"perhaps its train or test is meant"):
         list_images(scene)
 
 
-@NUMBERED
-def test_numbered_frames_without_an_image_or_a_usable_pose_are_counted(
-    make: Callable[[Path], Path], folder: str, poses: str, image: str, tmp_path: Path
-) -> None:
-    sequence = make(tmp_path / "scene") / "train" / folder
-    rows = (sequence / poses).read_text().splitlines()  # of frames 17, 4 and 3
+def test_numbered_frames_without_an_image_or_a_usable_pose_are_counted(numbered: tuple[Path, Path]) -> None:
+    poses, image = numbered
+    sequence = poses.parent
+    rows = poses.read_text().splitlines()  # of frames 17, 4 and 3
     separator = ", " if "," in rows[0] else " "
-    (sequence / poses).write_text("\n".join(["# a comment", "", rows[0]]))
+    poses.write_text("\n".join(["# a comment", "", rows[0]]))
     check(sequence, [2])
     assert list_images(sequence).skipped == {"no true pose": 2}
     fields = rows[1].split(separator)
     fields[4] = "nan"
-    (sequence / poses).write_text("\n".join([separator.join(fields), rows[0], rows[2]]))
-    (sequence / image.replace("04", "17")).unlink()
+    poses.write_text("\n".join([separator.join(fields), rows[0], rows[2]]))
+    image.with_name(image.name.replace("04", "17")).unlink()
     check(sequence, [0])
     assert list_images(sequence).skipped == {"no image": 1, "true pose not finite": 1}
-    (sequence / poses).write_text(separator.join(fields))
+    poses.write_text(separator.join(fields))
     with pytest.raises(SequenceError, match=r"no image with a true pose: .*'true pose not finite': 1"):
         list_images(sequence)
 
 
-@NUMBERED
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -77,19 +79,14 @@ def test_numbered_frames_without_an_image_or_a_usable_pose_are_counted(
     ],
 )
 def test_rows_of_numbered_frames_that_contradict_each_other_are_refused(
-    make: Callable[[Path], Path],
-    folder: str,
-    poses: str,
-    image: str,
-    change: Callable[[list[str]], list[str]],
-    said: str,
-    tmp_path: Path,
+    numbered: tuple[Path, Path], change: Callable[[list[str]], list[str]], said: str
 ) -> None:
-    sequence = make(tmp_path / "scene") / "train" / folder
-    change_row(sequence / poses, change)
+    poses = numbered[0]
+    sequence = poses.parent
+    change_row(poses, change)
     with pytest.raises(SequenceError) as error:
         list_images(sequence)
-    assert str(error.value).startswith(f"{sequence / poses}:2: {said}")
+    assert str(error.value).startswith(f"{poses}:2: {said}")
 
 
 def change_row(file: Path, change: Callable[[list[str]], list[str]]) -> None:
@@ -100,7 +97,6 @@ def change_row(file: Path, change: Callable[[list[str]], list[str]]) -> None:
     file.write_text("\n".join(rows))
 
 
-@NUMBERED
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -114,31 +110,24 @@ def change_row(file: Path, change: Callable[[list[str]], list[str]]) -> None:
     ],
 )
 def test_a_row_of_numbered_frames_that_cannot_be_used_is_left_out_and_named(
-    make: Callable[[Path], Path],
-    folder: str,
-    poses: str,
-    image: str,
-    change: Callable[[list[str]], list[str]],
-    said: str,
-    tmp_path: Path,
+    numbered: tuple[Path, Path], change: Callable[[list[str]], list[str]], said: str
 ) -> None:
-    sequence = make(tmp_path / "scene") / "train" / folder
-    change_row(sequence / poses, lambda fields: change(fields) or ["none"])
-    listed = leaves_out(sequence, 3, f"{sequence / poses}:2: ", said)
+    poses = numbered[0]
+    sequence = poses.parent
+    change_row(poses, lambda fields: change(fields) or ["none"])
+    listed = leaves_out(sequence, 3, f"{poses}:2: ", said)
     assert listed.skipped[UNUSABLE] == 1
     check(sequence, [0, 2])
-    rows = (sequence / poses).read_text().splitlines()
-    (sequence / poses).write_text(rows[1])
+    rows = poses.read_text().splitlines()
+    poses.write_text(rows[1])
     with pytest.raises(SequenceError, match=r":1: .*; 1 of 1 rows cannot be used, expected at most one in two"):
         list_images(sequence)
 
 
-@NUMBERED
-def test_images_that_are_not_one_a_frame_are_refused(
-    make: Callable[[Path], Path], folder: str, poses: str, image: str, tmp_path: Path
-) -> None:
-    sequence = make(tmp_path / "scene") / "train" / folder
-    twin = (sequence / image).with_name("twin-4.png")
+def test_images_that_are_not_one_a_frame_are_refused(numbered: tuple[Path, Path]) -> None:
+    poses, image = numbered
+    sequence = poses.parent
+    twin = image.with_name("twin-4.png")
     write_image(twin, 9)
     with pytest.raises(SequenceError, match=r"frame 4 is .* too, expected one image a frame"):
         list_images(sequence)

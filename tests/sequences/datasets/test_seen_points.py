@@ -73,13 +73,6 @@ def test_binary_keypoints_that_a_file_cannot_have_are_refused(keypoints: int, sa
         list(keypoint_rows(images))
 
 
-def test_some_of_the_images_say_what_they_show(tmp_path: Path) -> None:
-    frames = posed_frames(model(tmp_path / "scene", KEYPOINTS), frames=slice(1, 2))
-    seen = frames.seen_points()
-    assert [*seen] == [next(frames).time_ns]
-    assert len(next(iter(seen.values())).point) == 2
-
-
 def test_a_model_without_points_shows_none(tmp_path: Path) -> None:
     root = model(tmp_path / "scene", KEYPOINTS)
     (root / "sparse" / "0" / "points3D.txt").write_text("# none\n")

@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
-from sequences.estimates.options import EstimateOptions
-from sequences.estimates.pose_files import FrameName, natural_order, read_poses
+from sequences.estimates.pose_files import FrameName, read_poses
+from sequences.estimates.sequence import EstimateOptions
 from sequences.files import Rows, read_text
 from sequences.frame import Trajectory
 from sequences.trajectories.tum import write_tum
-from tests.helpers.pose_files import TIMES_NS, TRACK, as_euroc, walk, write_named
+from tests.helpers.pose_files import walk, write_named
 
 GOOD = "seq-01/frame-000001.color.png 1 0 0 0 0 0 0"
 
@@ -52,11 +52,6 @@ def test_frames_come_by_sequence_and_number(tmp_path_factory, pairs):
     assert read.poses.translation[:, :2].tolist() == [[s, n] for s, n in sorted(pairs)]
 
 
-def test_natural_order_mixes_words_and_numbers():
-    frames = [FrameName(name, 0) for name in ("b-10/", "b-9/", "7/", "a/", "")]
-    assert [frame.sequence for frame in sorted(frames, key=natural_order)] == ["", "7/", "a/", "b-9/", "b-10/"]
-
-
 def test_a_tum_trajectory_is_camera_to_world(tmp_path: Path):
     poses = Poses.stack(list(walk().values()))
     write_tum(tmp_path / "t.tum", Trajectory(np.arange(120) * 33_333_333 + 10**18, poses))
@@ -77,13 +72,6 @@ def test_rows_that_cannot_be_used_are_left_out_and_counted(tmp_path: Path):
     assert [frame.number for frame in read.frames] == [0, 1, 3, 5, 6, 7]
     assert read.poses.translation[:, 0].tolist() == [0, 1, 3, 5, 6, 7]
     assert f"2 of 8 poses left out, the first: {path}:3: quaternion [0.0, 0.0, 0.0, 0.0] has zero" in rows.notices[0]
-
-
-def test_a_table_of_euroc_is_poses_by_time(tmp_path: Path):
-    read = read_poses(as_euroc(tmp_path))
-    assert read.timed
-    assert [frame.number for frame in read.frames] == TIMES_NS.tolist()
-    np.testing.assert_allclose(read.poses.as_matrix(), TRACK.poses.as_matrix(), atol=2e-9)
 
 
 @pytest.mark.parametrize(

@@ -139,12 +139,6 @@ def test_images_before_the_first_key_frame_are_counted(reordered: bool, request:
     assert skipped == {BEFORE_KEY_FRAME: GROUP - 4}
 
 
-def test_video_without_a_key_frame_is_refused(h264: list[Packet], tmp_path: Path) -> None:
-    path = foxglove_files.write(tmp_path / "a.mcap", "protobuf", video(h264[1:GROUP]))
-    with pytest.raises(SequenceError, match=rf"no image left of 5 on {TOPIC}: 5 × {BEFORE_KEY_FRAME}"):
-        read(path)
-
-
 DAMAGES: dict[str, Callable[[bytes], bytes]] = {
     "cut off": lambda data: data[: len(data) // 2],
     "rubbish": lambda data: bytes(range(1, 100)),

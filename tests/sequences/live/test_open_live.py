@@ -96,8 +96,8 @@ def test_what_is_waited_for_is_said_until_all_is_there(wait: Wait) -> None:
         f"no readable message on {IMAGES} ",
         "no odometry topic, expected one of type nav_msgs/Odometry; found ",
         "no readable message on /odom ",
-        "no transform from 'base_link' (/odom, child frame) to 'camera_optical_frame' ",
-        "no transform from 'base_link' (/odom, child frame) to 'camera_optical_frame' ",
+        "no transform from 'base_link' to 'camera_optical_frame' ",
+        "no transform from 'base_link' to 'camera_optical_frame' ",
         f"no readable message on {INFO} ",
     ]
     assert [said[: len(start)] for (_, said), start in zip(wait.said, expected, strict=True)] == expected
@@ -109,14 +109,6 @@ def test_what_is_waited_for_is_said_until_all_is_there(wait: Wait) -> None:
     assert wait.changes == []
     assert {offer.topic for offer in wait.transport.subscribed} == set(TOPICS)
     assert reader.camera.camera == CAMERA
-
-
-def test_where_all_is_there_nothing_is_said(wait: Wait) -> None:
-    wait.offer(*TOPICS)
-    wait.changes = [(1.0 + 0.1 * n, lambda: wait.say(*TOPICS)) for n in range(8)]
-    wait.open()
-    assert wait.now_s < 2 + WITHIN_S
-    assert len(wait.said) <= 1  # at the first look nothing was heard of any topic
 
 
 def test_the_reader_was_given_all_that_was_heard_meanwhile(wait: Wait, walk_file: Path) -> None:
@@ -190,11 +182,3 @@ def test_whoever_admits_events_may_end_the_wait(at_s: float, wait: Wait) -> None
         wait.open()
     assert wait.admitted == ["nothing of ours", "end"]
     assert wait.now_s < at_s + WITHIN_S
-
-
-def test_messages_that_are_not_admitted_are_not_kept(wait: Wait) -> None:
-    wait.offer(*TOPICS)
-    wait.changes = [(2.0, lambda: wait.say(*TOPICS)), (12.0, lambda: wait.put("end"))]
-    with pytest.raises(Ended):
-        wait.open(leave_out=ODOMETRY)
-    assert wait.said[-1][1].startswith("no readable message on /odom (nav_msgs/Odometry)")

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import islice, pairwise
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -82,21 +81,15 @@ def logged(path: Path) -> list[RawMessage]:
     return [raw for raw in bag.messages([*bag.topics]) if raw.topic != TF_STATIC]
 
 
-def fields(value: Any) -> Any:
-    """The fields of a message, to compare."""
-    if isinstance(value, SimpleNamespace) or hasattr(value, "__slots__"):
-        names = getattr(value, "__slots__", None) or vars(value)
-        return {name: fields(getattr(value, name)) for name in names}
-    return [fields(each) for each in value] if isinstance(value, list) else value
-
-
 def without_stamps(value: Any, take: Callable[[int], None]) -> Any:
     """Fields of a message but its stamps, which are given away."""
-    if isinstance(value, dict) and value.keys() == {"sec", "nanosec"}:
-        take(value["sec"] * SECOND + value["nanosec"])
+    if hasattr(value, "sec"):
+        take(value.sec * SECOND + value.nanosec)
         return "a stamp"
-    if isinstance(value, dict):
-        return {name: without_stamps(each, take) for name, each in value.items()}
+    if hasattr(value, "__msgtype__"):
+        return {name: without_stamps(each, take) for name, each in vars(value).items()}
+    if isinstance(value, np.ndarray):
+        return value.tolist()
     return [without_stamps(each, take) for each in value] if isinstance(value, list) else value
 
 
@@ -130,18 +123,6 @@ def test_messages_are_published_when_they_were_logged(
         np.testing.assert_allclose(system.at_s[topic], due_s, atol=1e-6)
     assert system.at_s[TF_STATIC] == [0.0]  # before those who listen were waited for
     assert max(system.clock.sleeps_s) <= max(delay_s, 0.1)  # who wants to end it does not wait for long
-
-
-def test_whoever_is_late_catches_up(walk_file: Path, system: Listening) -> None:
-    raws = logged(walk_file)
-    for step in replay(walk_file, system, ReplayOptions(delay_s=0.0)):
-        if step.messages == 20:
-            system.clock.now_s = 0.8  # somebody else had the processor
-    for topic in (IMAGES, ODOMETRY):
-        due_s = np.array([(raw.log_time_ns - raws[0].log_time_ns) * 1e-9 for raw in raws if raw.topic == topic])
-        is_before = np.array(system.at_s[topic]) < 0.8
-        assert 0 < is_before.sum() < (due_s < 0.7).sum()
-        np.testing.assert_allclose(system.at_s[topic], np.where(is_before, due_s, due_s.clip(0.8)), atol=1e-6)
 
 
 def test_a_recording_is_begun_anew_again_and_again(walk_file: Path, system: Listening) -> None:
@@ -185,7 +166,7 @@ def test_transforms_that_never_change_are_kept_as_one_message_for_those_who_come
         for raw in Bag(path).messages([TF_STATIC])
         for t in decoder("tf2_msgs/TFMessage")(raw.data).transforms
     }
-    assert {name: fields(t) for name, t in told.items()} == {name: fields(t) for name, t in expected.items()}
+    assert told == expected
     assert {name: t.transform.translation.x for name, t in told.items()} == pytest.approx(
         {"camera": 3.0, "lidar": 2.0, "odom": 4.0}, abs=0.1
     )
@@ -241,23 +222,13 @@ def test_stamps_are_shifted_to_now_by_the_same_time_and_nothing_else_changes(tmp
         stamps: list[int] = []
         expected_stamps: list[int] = []
         read = decoder(raw.type)
-        told = without_stamps(fields(read(data)), stamps.append)
-        assert told == without_stamps(fields(read(raw.data)), expected_stamps.append)
+        told = without_stamps(read(data), stamps.append)
+        assert told == without_stamps(read(raw.data), expected_stamps.append)
         assert stamps == pytest.approx([each + shift_ns for each in expected_stamps], abs=1)  # rounded to nanoseconds
         assert len(stamps) == (raw.topic not in ("/start", "/point", "/none"))
         assert len(data) == len(raw.data)
     assert {topic: len(found) for topic, found in system.published.items()} == {**numbers, TF_STATIC: 1}
     assert {TF, "/odom", "/pose", "/mocap", "/start", "/point", "/none", "/image/compressed"} <= numbers.keys()
-
-
-def test_at_another_rate_stamps_are_as_far_apart_as_the_messages_come(tmp_path: Path, system: Listening) -> None:
-    path = robot(tmp_path / "robot.mcap")
-    list(replay(path, system, ReplayOptions(rate=2.0, restamp=True, delay_s=0.0)))
-    read = decoder("nav_msgs/Odometry")
-    stamps = [read(data).header.stamp for data in system.published["/odom"]]
-    times_s = [(stamp.sec * SECOND + stamp.nanosec - NOW_NS) * 1e-9 for stamp in stamps]
-    np.testing.assert_allclose(times_s, system.at_s["/odom"], atol=1e-6)
-    np.testing.assert_allclose(np.diff(times_s), 0.01, atol=1e-6)
 
 
 # --- what cannot be published ---------------------------------------------------------------------

@@ -147,13 +147,6 @@ def test_a_jump_is_cut_and_counted() -> None:
     assert (ratio < 1.3).all(), ratio
 
 
-def test_odometry_without_errors_is_found_to_have_hardly_any() -> None:
-    fit = fit_odometry([segment(6, SILENT)])
-    assert np.sqrt(max(fit.white_per_s)) < 1e-5
-    assert max(fit.drift) < 1e-5
-    assert abs(fit.scale) < 1e-6
-
-
 def test_increments_that_take_no_time_are_put_together_with_the_next() -> None:
     usual = segment(7, seconds=15)
     split, truth = [], [0]

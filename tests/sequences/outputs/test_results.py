@@ -8,7 +8,7 @@ import pytest
 
 from sequences.atomic import NEW, atomic_output
 from sequences.errors import SequenceError
-from sequences.outputs import MANIFEST, claim_folder, read_manifest, refuse_other, results_folder, verify
+from sequences.outputs import MANIFEST, claim_folder, read_manifest, refuse_other, verify
 from tests.helpers.results import WRITES, contents, interrupt, refused, whole, write
 
 
@@ -79,14 +79,6 @@ def test_what_is_read_is_never_replaced(tmp_path):
     assert contents(out)["poses.txt"] == "truth"
 
 
-def test_a_sequence_that_results_list_stays_where_they_are_written_anew(tmp_path):
-    with results_folder(tmp_path, "demo", writes=[*WRITES, "sequence.mcap"]) as new:
-        (new / "sequence.mcap").write_text("images")
-    refused(tmp_path, "sequence.mcap (which is read)", reads=[tmp_path / "sequence.mcap"])
-    write(tmp_path, "new", reads=[tmp_path / "sequence.mcap"], overwrite=True)
-    assert contents(tmp_path)["sequence.mcap"] == "images"
-
-
 def test_links_are_followed_unless_they_lead_nowhere(tmp_path):
     (tmp_path / "link").symlink_to("real")
     refused(tmp_path / "link", "is a link to real, which does not exist")
@@ -114,17 +106,6 @@ def test_results_in_the_working_directory_are_replaced_within_it(tmp_path, monke
     assert os.stat(tmp_path).st_ino == folder
     assert whole(tmp_path) == "second"
     assert set(os.listdir(tmp_path)) == {"a.tum", "b.json", MANIFEST}
-
-
-def test_a_folder_that_somebody_makes_during_the_work_is_written_to(tmp_path):
-    def make() -> None:
-        (tmp_path / "out").mkdir()
-        (tmp_path / "out" / "notes.txt").write_text("mine")
-
-    write(tmp_path / "out", "first", meanwhile=make)
-    assert whole(tmp_path / "out") == "first"
-    assert contents(tmp_path / "out")["notes.txt"] == "mine"
-    assert os.listdir(tmp_path) == ["out"]
 
 
 def test_a_file_that_a_user_adds_during_the_work_is_not_lost(tmp_path):

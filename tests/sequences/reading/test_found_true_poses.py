@@ -132,18 +132,6 @@ def test_a_transform_that_nobody_asks_for_may_be_broken(tmp_path: Path) -> None:
     assert reader.skipped == {"unusable true poses": 1}
 
 
-def test_broken_transforms_do_no_harm_where_true_poses_are_not_needed(tmp_path: Path) -> None:
-    broken = tf("map", "wheel", stamps(), lambda _: Poses(np.eye(3), np.full(3, np.nan)))
-    reader = SequenceReader(record(tmp_path / "a.mcap", images(), mounted(), odometry(stamps()), broken))
-    assert len(list(reader)) == 12
-
-
-@pytest.mark.parametrize("name", ["odometry_frame", "ground_truth_frame", "ground_truth_child_frame"])
-def test_a_frame_needs_a_name(name: str) -> None:
-    with pytest.raises(SequenceError, match=rf"{name} is '', expected the name of a frame"):
-        SequenceOptions(**{name: ""})  # pyright: ignore[reportArgumentType]
-
-
 @pytest.mark.parametrize("encoding", [*foxglove_files.ENCODINGS, "ros"])
 @pytest.mark.parametrize("topic", ["/tf", "/tf_static"])
 def test_what_is_called_tf_and_has_no_transforms_is_no_tf(topic: str, encoding: str, tmp_path: Path) -> None:

@@ -9,7 +9,6 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.writer import Writer
 
-from filtering.motion import MotionNoise
 from sequences.errors import SequenceError
 from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
@@ -82,27 +81,6 @@ def test_a_segment_of_a_sequence_is_read(walk_file: Path) -> None:
     assert reader.skipped == {OUTSIDE: 7}
 
 
-def test_zero_covariances_are_replaced_by_the_stated_motion_noise(tmp_path: Path) -> None:
-    path = Walk(twist_covariance=np.zeros((6, 6))).write(tmp_path / "walk.mcap")
-    noise = MotionNoise(translation_per_sqrt_m=0.3)
-    frame = list(SequenceReader(path, SequenceOptions(motion_noise=noise)))[1]
-    assert frame.odometry is not None
-    camera_from_base = BASE_FROM_CAMERA.inverse()
-    base_increment = BASE_FROM_CAMERA @ frame.odometry.previous_from_current @ camera_from_base
-    carry = camera_from_base.adjoint()
-    expected = carry @ noise.covariance(base_increment, 0.1) @ carry.T
-    # As of one increment: between two images the twist of the walk hardly changes.
-    np.testing.assert_allclose(frame.odometry.covariance, expected, rtol=1e-3, atol=1e-7)
-    assert frame.odometry.duration_s == pytest.approx(0.1)
-
-
-def test_placeholders_for_variances_leave_the_covariance_of_an_increment_small(tmp_path: Path) -> None:
-    path = Walk(twist_covariance=np.diag([0.04, 1e6, 1e6, 1e6, 1e6, 0.003])).write(tmp_path / "walk.mcap")
-    frame = list(SequenceReader(path))[1]
-    assert frame.odometry is not None
-    assert 0.0 < np.abs(frame.odometry.covariance).max() < 0.01
-
-
 def test_true_poses_are_interpolated_but_not_over_gaps(tmp_path: Path) -> None:
     walk = Walk()
     # True poses at 20 Hz, off the images' stamps, and none between 0.4 and 0.75 s.
@@ -160,7 +138,8 @@ def test_raw_images_are_read_and_beside_compressed_ones_must_be_named(tmp_path: 
 @pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("with_index", [True, False])
 def test_memory_does_not_grow_with_the_file(with_index: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sequences.recordings.recording_file._MAX_KEPT_BYTES", 0)
+    monkeypatch.setattr("sequences.recordings.mcap_file._MAX_KEPT_BYTES", 0)
+    monkeypatch.setattr("sequences.reading.frame_pairing._HORIZON_NS", 10**9)
     rng = np.random.default_rng(0)
     peaks, sizes = [], []
     for num_images in (50, 200):

@@ -19,7 +19,6 @@ from tests.helpers.sequence_files import (
     Walk,
     close,
     relogged,
-    rewrite,
     stamped,
     world_from_camera,
 )
@@ -84,13 +83,6 @@ def test_stamps_that_are_all_equal_are_an_error_that_names_the_log_times(
     with pytest.raises(SequenceError, match=rf"headers of all {what} are {said}, expected increasing.*--stamps log"):
         list(SequenceReader(path))
     require_same(SequenceReader(path, SequenceOptions(stamps="log")), walk_file)
-
-
-def test_where_log_times_are_equal_too_no_option_is_named(tmp_path: Path) -> None:
-    path = stamped(Walk().write(tmp_path / "in.mcap"), tmp_path / "a.mcap", [IMAGES, "/odom"], lambda _: 0)
-    path = rewrite(path, tmp_path / "out.mcap", log_time=lambda topic, time_ns: 1)
-    with pytest.raises(SequenceError, match=r"are zero, expected increasing ones$"):
-        list(SequenceReader(path))
 
 
 def test_clocks_that_are_apart_are_named(walk_file: Path, tmp_path: Path) -> None:

@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
@@ -40,12 +39,6 @@ def test_of_several_topics_one_must_be_named(topic: str, role: str, tmp_path: Pa
         SequenceReader(path)
     options = replace(SequenceOptions(), **{role.replace("-", "_") + "_topic": topic})
     assert SequenceReader(path, options).num_images in (6, 12)
-
-
-def test_the_ground_truth_can_be_left_out_by_an_empty_name(walk_file: Path) -> None:
-    frames = list(SequenceReader(walk_file, SequenceOptions(ground_truth_topic="")))
-    assert len(frames) == 12
-    assert all(frame.world_from_camera is None for frame in frames)
 
 
 @pytest.mark.parametrize(
@@ -82,12 +75,6 @@ def test_without_tf_the_error_names_both_frames_and_an_option_helps(walk_file: P
         if expected.odometry is not None:
             assert frame.odometry is not None
             assert close(frame.odometry.previous_from_current, expected.odometry.previous_from_current, 1e-9)
-
-
-def test_odometry_of_the_camera_itself_needs_no_tf(walk_file: Path, tmp_path: Path) -> None:
-    path = rewrite(walk_file, tmp_path / "out.mcap", keep=lambda topic, _: topic != "/tf_static")
-    reader = SequenceReader(path, SequenceOptions(camera_frame="/base_link"))
-    assert close(reader.base_from_camera, Poses.identity(), 1e-12)
 
 
 @pytest.mark.usefixtures("unchecked")

@@ -87,9 +87,7 @@ def test_a_path_without_stamps_of_its_own_is_refused(tmp_path: Path) -> None:
 
 def test_a_body_that_tf_does_not_know_is_named(tmp_path: Path) -> None:
     path = record(tmp_path / "a.mcap", images(), mounted(), told_by("nav_msgs/Odometry", stamps(), child="vicon/cart"))
-    with pytest.raises(
-        SequenceError, match=r"no transform from 'vicon/cart' \(/truth\) to 'camera'.*--ground-truth-child"
-    ):
+    with pytest.raises(SequenceError, match=r"no transform from 'vicon/cart' to 'camera'.*--ground-truth-child"):
         read(path)
     require_true(read(path, ground_truth_child_frame="base_link"))
 
@@ -187,21 +185,11 @@ def test_a_jump_is_counted_and_no_pose_is_interpolated_across_it(tmp_path: Path)
     assert notice in frames.notices[0]
 
 
-def test_a_link_that_is_told_seldom_covers_while_it_hardly_moves(tmp_path: Path) -> None:
-    path = record(
-        tmp_path / "a.mcap",
-        images(),
-        mounted(),
-        tf("map", "odom", stamps(every_ms=640), lambda _: Poses.identity()),
-        tf("odom", "base_link", stamps(), body),
-    )
-    require_true(read(path)[:12])
-
-
 @pytest.mark.parametrize("with_tree", [True, False])
 @pytest.mark.usefixtures("unchecked")
 def test_memory_does_not_grow_with_the_file(with_tree: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sequences.recordings.recording_file._MAX_KEPT_BYTES", 0)
+    monkeypatch.setattr("sequences.recordings.mcap_file._MAX_KEPT_BYTES", 0)
+    monkeypatch.setattr("sequences.reading.frame_pairing._HORIZON_NS", 10**9)
     peaks = []
     for num_images in (20, 80):
         times = stamps(num_images)

@@ -18,7 +18,7 @@ from mcap.writer import CompressionType, IndexType, Writer
 from sequences.errors import SequenceError
 from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
-from sequences.recordings import mcap_file, recording_file
+from sequences.recordings import mcap_file
 from sequences.recordings.bag import Bag
 from sequences.recordings.mcap_file import unpack_chunk
 from tests.helpers.sequence_files import (
@@ -76,13 +76,6 @@ def test_images_that_a_file_states_and_has_not_are_an_error(
     reader = SequenceReader(path, SequenceOptions(ground_truth_topic=""), odometry="unread")
     with pytest.raises(SequenceError, match=rf"lost\.mcap: {IMAGES}: \d messages found where the file states 12"):
         list(reader)
-
-
-def test_a_file_without_statistics_is_counted_by_the_indexes_beside_its_chunks(walk_file: Path, tmp_path: Path) -> None:
-    options = {"index_types": IndexType.MESSAGE, "use_statistics": False, "chunk_size": 1000}
-    path = damaged(walk_file, tmp_path / "lost.mcap", without_ten_images, **options)
-    with pytest.raises(SequenceError, match=r"2 messages found where the file states 12"):
-        list(SequenceReader(path, odometry="unread"))
 
 
 def test_a_file_that_states_no_numbers_says_that_lost_images_cannot_be_told(walk_file: Path, tmp_path: Path) -> None:
@@ -213,6 +206,6 @@ def test_iterators_side_by_side_unpack_each_chunk_once(
     assert Counter(raw.topic for raw in side_by_side) == {name: len(raws) for name, raws in alone.items()}
     assert len(unpacked) == len(set(unpacked)) > 5
     unpacked.clear()
-    monkeypatch.setattr(recording_file, "_MAX_KEPT_BYTES", 3000)
+    monkeypatch.setattr(mcap_file, "_MAX_KEPT_BYTES", 3000)
     assert [*bag.messages(names)] == [*Bag(tmp_path / "a.mcap").messages(names)]
     assert sum(map(len, bag._latest._kept.values())) <= 3000

@@ -11,7 +11,6 @@ from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.recordings.bag import Bag
 from sequences.recordings.messages import (
-    covariance_from_ros,
     covariance_to_ros,
     odometry_from_message,
     pose_from_message,
@@ -92,14 +91,6 @@ def test_covariance_of_a_pose_turns_to_the_axes_of_its_parent() -> None:
     map_from_camera = Poses(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]), np.array([5.0, 6, 7]))
     covariance = np.diag([0.0, 0, 4.0, 0, 0, 0.25])
     np.testing.assert_allclose(covariance_to_ros(covariance, map_from_camera), np.diag([4.0, 0, 0, 0.25, 0, 0]))
-
-
-def test_covariance_to_ros_and_back_is_the_same() -> None:
-    rng = np.random.default_rng(2)
-    root = rng.normal(size=(6, 6))
-    pose = Poses.exp(rng.normal(size=6))
-    back = covariance_from_ros(covariance_to_ros(root @ root.T, pose), pose)
-    np.testing.assert_allclose(back, root @ root.T, atol=1e-12)
 
 
 def test_images_and_odometry_of_a_real_ros_1_bag_are_read(shared_data: Path) -> None:

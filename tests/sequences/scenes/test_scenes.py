@@ -1,6 +1,5 @@
 import subprocess
 import sys
-from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -9,11 +8,7 @@ import pytest
 from filtering.se3 import Poses
 from sequences.frame import Camera
 from sequences.rendering.render import LitScene, pixel_rays, render, sees_cue
-from sequences.scenes import SCENES, ceiling, corridor, find_scene, scene_names, stairwell
-from sequences.scenes.ceiling import roll_through_hall
-from sequences.scenes.corridor import walk_corridor
-from sequences.scenes.staircase import walk_stairs
-from sequences.scenes.tables import circle_table
+from sequences.scenes import SCENES, ceiling, corridor, find_scene, stairwell
 from sequences.synthesize import synthesize
 from tests.helpers import views
 from tests.helpers.views import depth_and_quads, fraction_that_differs, shifted
@@ -55,15 +50,10 @@ def matt(name: str) -> LitScene:
 # --- specifications --------------------------------------------------------------------------------
 
 
-def test_a_scene_goes_by_the_name_of_its_row(name):
-    assert find_scene(name).name == name
-
-
-def test_no_two_scenes_draw_the_same_random_numbers_and_those_of_old_scenes_never_change():
-    numbers = {name: find_scene(name).seed_numbers for name in [*SCENES, "building-0", "building-7"]}
-    assert len(set(numbers.values())) == len(numbers)
-    old = {"staircase": (0,), "ceiling": (1,), "round-table": (2,), "dinner-table": (3,), "corridor": (4,)}
-    assert numbers.items() >= (old | {"building-7": (1000, 7)}).items()
+def test_scenes_go_by_their_names_and_seed_numbers_which_never_change():
+    numbers = {"staircase": (0,), "ceiling": (1,), "round-table": (2,), "dinner-table": (3,), "corridor": (4,)}
+    numbers["building-7"] = (1000, 7)
+    assert {find_scene(name).name: find_scene(name).seed_numbers for name in [*SCENES, "building-7"]} == numbers
 
 
 @pytest.mark.parametrize("name", [*SCENES, "building-0"])
@@ -72,20 +62,13 @@ def test_a_scene_says_whether_anything_in_it_is_unique(name):
     assert scene.has_cues == any(placement.part.cue for placement in scene.placements("test", 0))
 
 
-def test_names_to_choose_from_are_those_of_all_scenes_or_of_those_in_which_something_is_unique():
-    assert scene_names() == ("staircase", "ceiling", "round-table", "dinner-table", "corridor", "building-N")
-    assert scene_names(with_cues=True) == ("staircase", "ceiling", "corridor", "building-N")
-
-
 def test_a_scene_is_imported_when_it_is_asked_for_and_not_before():
     code = (
-        "import sys; from sequences.scenes import find_scene, is_scene, scene_names;"
-        "is_scene('ceiling'); scene_names();"
-        "before = [m for m in sys.modules if m.startswith('sequences.scenes.')]; find_scene('ceiling');"
-        "print(before, 'sequences.scenes.ceiling' in sys.modules, 'sequences.scenes.corridor' in sys.modules)"
+        "import sys; from sequences.scenes import find_scene, is_scene; is_scene('ceiling'); find_scene('ceiling');"
+        "print([m for m in sys.modules if m in ('sequences.scenes.ceiling', 'sequences.scenes.corridor')])"
     )
     printed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    assert printed.split() == ["[]", "True", "False"]
+    assert printed.strip() == "['sequences.scenes.ceiling']"
 
 
 # --- ambiguity: what looks the same, and what does not ---------------------------------------------
@@ -163,13 +146,6 @@ def test_each_end_of_the_corridor_shows_the_floor(floor, x, yaw):
     assert fraction_that_differs(picture(scene, here), picture(scene, there)) > 0.05
 
 
-def test_the_two_ends_of_the_corridor_differ_without_the_painted_walls():
-    scene = load_scene("corridor")
-    ends = [look((2.0, 1.2, 1.5), np.pi, 0.0), look((73.0, 1.2, 1.5), 0.0, 0.0)]
-    pictures = [picture(scene, end)[18:54, 24:72] for end in ends]
-    assert fraction_that_differs(*pictures) > 0.5
-
-
 def turned(pose: Poses, angle: float) -> Poses:
     """The pose carried about the z axis of the world."""
     return Poses.exp(np.array([0, 0, 0, 0, 0, angle])) @ pose
@@ -183,34 +159,9 @@ def test_a_table_looks_the_same_from_four_sides_or_two_and_from_no_more(scene_na
     first = picture(scene, pose)
     for turn in range(1, modes):
         assert fraction_that_differs(first, picture(scene, turned(pose, 2 * np.pi * turn / modes))) < 0.01
-    assert (
-        fraction_that_differs(first, picture(scene, turned(pose, np.pi / modes))) > 0.1
-    )  # half of the way to the next
+    between = turned(pose, np.pi / modes)  # half of the way to the next
+    assert fraction_that_differs(first, picture(scene, between)) > 0.1
     assert fraction_that_differs(first, picture(scene, turned(pose, 0.05))) > 0.2  # nor from anywhere nearby
-
-
-@pytest.mark.parametrize("scene_name", ["round-table", "dinner-table"])
-def test_images_of_a_table_from_two_like_poses_differ_by_noise_alone(scene_name):
-    sequence = synthesize(scene_name, seed=3, num_frames=1, width=96, height=72)
-    half_turn = Poses.exp(np.array([0, 0, 0, 0, 0, np.pi]))
-    opposite = replace(sequence, world_from_base=half_turn @ sequence.world_from_base)
-    again = replace(sequence, seed=np.random.SeedSequence(7))
-    original, other, noisy = (next(s.images()).astype(float) for s in (sequence, opposite, again))
-    noise = np.abs(noisy - original).mean()
-    assert noise > 0.5  # of 255: there is some
-    assert np.abs(other - original).mean() < 1.1 * noise
-
-
-def test_walks_about_a_table_see_it_from_all_sides():
-    walks = [circle_table(200.0, rng=np.random.default_rng(seed)) for seed in range(3)]
-    xy = np.concatenate([walk.translation[:, :2] for walk in walks])
-    sides, _ = np.histogram(np.arctan2(xy[:, 1], xy[:, 0]), bins=8, range=(-np.pi, np.pi))
-    assert sides.min() > 0.05 * sides.sum()
-    distance = np.linalg.norm(xy, axis=1)
-    assert distance.min() > 1.2
-    assert distance.max() < 2.6
-    steps = np.concatenate([np.linalg.norm(np.diff(walk.translation, axis=0), axis=1) for walk in walks])
-    assert steps.max() < 0.02 * 1.5  # metres in 20 ms
 
 
 # --- poses and images agree ------------------------------------------------------------------------
@@ -239,9 +190,8 @@ def _photometric_error(scene, camera, pictures, first: Poses, second: Poses) -> 
     points = points @ there.rotation.T + there.translation
     u = (camera.fx * points[..., 0] / points[..., 2] + camera.cx).astype(np.float32)
     v = (camera.fy * points[..., 1] / points[..., 2] + camera.cy).astype(np.float32)
-    grey = [
-        np.log(0.02 + cv2.GaussianBlur(p.mean(axis=2), (0, 0), 1.5)) for p in pictures
-    ]  # texture is finer than pixels
+    # Texture is finer than pixels.
+    grey = [np.log(0.02 + cv2.GaussianBlur(p.mean(axis=2), (0, 0), 1.5)) for p in pictures]
     seen = cv2.remap(depth_there, u, v, cv2.INTER_NEAREST, borderValue=-1.0)
     visible = (np.abs(seen - points[..., 2]) < 0.03 * points[..., 2]) & (points[..., 2] > 0.1)
     assert visible.mean() > 0.2
@@ -268,42 +218,19 @@ def test_no_camera_passes_through_a_wall_or_comes_too_near_to_one(name):
 # --- walks -----------------------------------------------------------------------------------------
 
 
-def test_long_walks_visit_every_floor_both_ways():
-    heights, ups = [], []
-    for seed in range(4):
-        walk = walk_stairs(300.0, rng=np.random.default_rng(seed))
-        heights.append(walk.translation[:, 2])
-        ups.append(np.gradient(walk.translation[:, 2], 0.02))
-    floor = np.concatenate(heights) // stairwell.FLOOR_HEIGHT
-    climb = np.concatenate(ups)
-    for level in range(stairwell.NUM_FLOORS - 1):
-        assert (floor == level).mean() > 0.05
-        assert ((floor == level) & (climb > 0.1)).any()
-        assert ((floor == level) & (climb < -0.1)).any()
+ENDS = {
+    "staircase": ([3.3276, 0.5989, 2.742], [0.0255, -1.4504, -1.1107]),
+    "ceiling": ([11.0065, 7.0164, 0.8945], [-0.4055, -0.6479, -0.0017]),
+    "round-table": ([1.9309, -0.601, 1.6053], [3.1823, 2.059, 0.7003]),
+    "dinner-table": ([1.4634, 0.5725, 1.4555], [1.7075, -1.6805, 0.3792]),
+    "corridor": ([1.3551, 1.206, 4.7524], [6.6938, -1.1055, -0.3833]),
+    "building-2": ([4.2679, 5.3222, 3.6492], [3.3364, -3.8364, 2.7706]),
+}
 
 
-def test_walks_in_the_corridor_go_all_along_both_floors_both_ways_at_a_walking_pace():
-    walks = [walk_corridor(90.0, rng=np.random.default_rng(seed)) for seed in range(12)]
-    place, floor = (np.concatenate([walk.translation[:, axis] for walk in walks]) for axis in (0, 2))
-    ahead = np.concatenate([walk.rotation[:, 0, 0] for walk in walks])
-    for level in range(corridor.NUM_FLOORS):
-        for way in (-1, 1):
-            there = (floor // corridor.FLOOR_HEIGHT == level) & (way * ahead > 0.5)
-            visits, _ = np.histogram(place[there], bins=5, range=(0, corridor.LENGTH))
-            assert visits.min() > 0.005 * len(place)
-    assert np.median([np.ptp(walk.translation[:, 0]) for walk in walks]) > 0.5 * corridor.LENGTH
-    speed = np.concatenate([np.linalg.norm(np.diff(walk.translation, axis=0), axis=1) for walk in walks]) / 0.02
-    assert 1.0 < np.median(speed) < 1.4
-    assert speed.max() < 2.0
-
-
-def test_carts_visit_the_whole_hall_under_all_headings():
-    carts = [roll_through_hall(600.0, margin_m=1.0, rng=np.random.default_rng(seed)) for seed in range(3)]
-    xy = np.concatenate([cart.translation[:, :2] for cart in carts])
-    yaw = np.concatenate([np.arctan2(cart.rotation[:, 1, 0], cart.rotation[:, 0, 0]) for cart in carts])
-    visits, _, _ = np.histogram2d(xy[:, 0], xy[:, 1], bins=(4, 3), range=((0, ceiling.LENGTH), (0, ceiling.BREADTH)))
-    assert visits.min() > 0.02 * visits.sum()
-    headings, _ = np.histogram(yaw, bins=8, range=(-np.pi, np.pi))
-    assert headings.min() > 0.04 * headings.sum()
-    speed = np.linalg.norm(np.diff(xy[:1000], axis=0), axis=1) / 0.02
-    assert speed.max() < 1.0
+@pytest.mark.parametrize("name", ENDS)
+def test_a_seed_gives_the_walk_and_the_odometry_that_it_has_always_given(name):
+    """If others are wanted, count up `SYNTHESIS`: stored recordings and models are of these."""
+    sequence = synthesize(name, seed=1, num_frames=60, split="train", width=32, height=24)
+    ends = [sequence.world_from_camera.translation[-1], sequence.odom_from_base.translation[-1]]
+    np.testing.assert_allclose(ends, ENDS[name], atol=1e-3)

@@ -48,14 +48,6 @@ def test_known_offsets_are_found_within_five_milliseconds(walk: Walk, rate_hz: i
         assert find_time_offset(odometry, poses) == pytest.approx(offset_s, abs=0.005)
 
 
-def test_a_part_of_the_walk_is_enough() -> None:
-    rng = np.random.default_rng(5)
-    odometry, poses = two_records(WALKS[0](60.0, rng), 30, 0.4, rng)
-    part = slice(600, 1400)
-    found = find_time_offset(odometry, Trajectory(poses.times_ns[part], poses.poses[part]))
-    assert found == pytest.approx(0.4, abs=0.005)
-
-
 @pytest.mark.parametrize(
     ("turning", "said"),
     [

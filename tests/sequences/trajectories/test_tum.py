@@ -27,12 +27,6 @@ def test_a_trajectory_survives_its_file(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["t.tum"]
 
 
-def test_an_empty_trajectory_is_written_but_not_read(tmp_path: Path) -> None:
-    write_tum(tmp_path / "t.tum", Trajectory(np.zeros(0, np.int64), Poses.identity(0)))
-    with pytest.raises(SequenceError, match=r"t\.tum: no poses"):
-        read_tum(tmp_path / "t.tum")
-
-
 @given(st.integers(-(2**62), 2**62))
 def test_times_lose_no_nanosecond(time_ns: int) -> None:
     assert parse_time_ns(format_time(time_ns), "") == time_ns

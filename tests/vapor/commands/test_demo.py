@@ -5,15 +5,9 @@ import re
 
 import pytest
 
-from tests.helpers.command_line import refuse
 from tests.helpers.full import some
 from vapor.checkpoints import file_format
 from vapor.track import main
-
-
-def test_a_demo_into_a_file_is_refused(tmp_path, capsys):
-    (tmp_path / "file").write_text("mine")
-    refuse(["demo", "--output", str(tmp_path / "file")], capsys, tmp_path / "file")
 
 
 @pytest.mark.usefixtures("rough_light")

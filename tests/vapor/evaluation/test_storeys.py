@@ -9,7 +9,7 @@ from filtering.storeys import Storeys
 from sequences.frame import Trajectory
 from tests.helpers.simulated_run import true_walk
 from vapor.evaluation.consistency import evaluate_belief
-from vapor.evaluation.storeys import evaluate_storey, evaluate_storeys, once_on_storey, storey_accuracy, storeys_off
+from vapor.evaluation.storeys import evaluate_storey, evaluate_storeys, once_on_storey, storey_accuracy
 from vapor.tracking.loop import Belief
 
 HEIGHT = 3.0
@@ -17,12 +17,6 @@ HEIGHT = 3.0
 
 def raised(truth: Poses, metres: list[float], along: float = 0.0) -> Poses:
     return Poses(truth.rotation, truth.translation + np.array([[along, 0.0, up] for up in metres]))
-
-
-def test_a_storey_is_the_nearest_one():
-    truth = true_walk(6)
-    poses = raised(truth, [0.0, 1.4, 1.6, -1.6, 5.9, -0.2])
-    assert storeys_off(poses, truth, HEIGHT).tolist() == [0, 0, 1, -1, 2, 0]
 
 
 def test_from_when_on_the_storey_is_right_counts_to_the_end():

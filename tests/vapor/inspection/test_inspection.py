@@ -40,13 +40,13 @@ def test_a_gap_a_blurred_segment_and_dark_images_are_counted_where_they_are(blur
     found = inspect([path])
     (walk,) = found.walks
     assert walk.gaps == [(pytest.approx(6.9), pytest.approx(3.1))]
-    np.testing.assert_array_equal(np.flatnonzero(walk.looks.blurred), np.arange(30, 50))
-    np.testing.assert_array_equal(np.flatnonzero(walk.looks.dark), np.arange(110, 120))
-    np.testing.assert_array_equal(np.flatnonzero(walk.looks.jumps), [110])
+    np.testing.assert_array_equal(np.flatnonzero(walk.blurred), np.arange(30, 50))
+    np.testing.assert_array_equal(np.flatnonzero(walk.dark), np.arange(110, 120))
+    np.testing.assert_array_equal(np.flatnonzero(walk.jumps), [110])
     assert walk.path_m == pytest.approx(8 * np.pi, rel=0.01)
     only(found, "17 % of the images of w.mcap are blurred")
     only(found, "8 % of the images of w.mcap are nearly black")
-    only(found, "a gap of 3.1 s, 6.9 s after its start")
+    only(found, "the longest of 3.1 s, 6.9 s after its start")
 
 
 @pytest.mark.usefixtures("unchecked")
@@ -55,7 +55,7 @@ def test_a_dull_view_is_not_taken_for_blur(tmp_path):
         return detailed(index) if index < 80 else 100 + detailed(index) // 3
 
     (walk,) = read_walks([write(tmp_path / "w.mcap", walked(), image=image)])
-    assert not walk.looks.blurred.any()
+    assert not walk.blurred.any()
 
 
 @pytest.mark.usefixtures("unchecked", "no_views")
@@ -89,7 +89,7 @@ def test_without_true_poses_all_else_is_said_and_what_to_give(tmp_path):
 @pytest.mark.parametrize("count", [1, 10])
 def test_few_images_are_no_error(count, tmp_path):
     found = inspect([write(tmp_path / "w.mcap", walked(count))])
-    only(found, "record more: ", f"{count} image")
+    only(found, f"record more: {count} images")
     only(found, "nothing can be held out")
     json.dumps(found.as_json(), allow_nan=False)
 
@@ -137,8 +137,7 @@ def test_images_are_counted_as_a_run_counts_them(walk_of_25, tmp_path, capfd):
     said = capfd.readouterr().out
     assert "images     25 stated, 25 read, 24 used, 1 skipped" in said
     assert "skipped 1: undecodable image" in said
-    assert main(["inspect", f"{path}@:10", f"{walk_of_25}@5:", "--json"]) == 0
-    first, second = (walk["counts"] for walk in json.loads(capfd.readouterr().out)["walks"])
+    first, second = (walk.as_json()["counts"] for walk in inspect([f"{path}@:10", f"{walk_of_25}@5:"]).walks)
     assert (first["stated"], first["used"]) == (25, 10)
     assert first["skipped"] == {"undecodable image": 1, OUTSIDE: 14}
     assert (second["stated"], second["used"], second["skipped"]) == (25, 20, {OUTSIDE: 5})
@@ -174,8 +173,8 @@ def test_where_a_model_errs_is_said_with_place_direction_and_passes(tmp_path):
     assert found.predictions is not None
     assert found.predictions.right.mean() == pytest.approx(1 - 10 / 120)
     sentence = only(found, "another walk should show")
-    assert "looking east: median error 2 m over" in sentence
-    assert "of one pass only" in sentence
+    assert "looking +x: median error 2 m over" in sentence
+    assert "of one pass" in sentence
     x = float(sentence.split("near (")[1].split(",")[0])
     assert 4.0 <= x <= 5.0
     unlike = replace(found.predictions, ood_score=np.full(120, 2.0))
@@ -208,7 +207,7 @@ def test_dim_images_poses_in_millimetres_and_swapped_colours_are_said(tmp_path):
 
 def test_the_command_writes_report_and_map_and_says_its_verdict(tmp_path, tiny_model, walk_of_25, capfd):
     words = ["inspect", str(walk_of_25), "--output", str(tmp_path / "out" / "deeper")]
-    assert main([*words, "--model", str(tiny_model), "--num-samples", "20"]) == 0
+    assert main([*words, "--model", str(tiny_model)]) == 0
     said = capfd.readouterr().out
     assert "Verdict" in said
     assert "1. record more: 25 images with true poses" in said
@@ -221,15 +220,13 @@ def test_the_command_writes_report_and_map_and_says_its_verdict(tmp_path, tiny_m
     picture = cv2.imread(str(tmp_path / "out" / "deeper" / "map.png"))
     assert picture is not None
     assert picture.std() > 10
-    assert main(["inspect", str(walk_of_25), "--json"]) == 0
-    assert json.loads(capfd.readouterr().out)["verdict"] == report["verdict"][: len(report["verdict"])]
 
 
 def test_the_command_records_cameras_images_and_predictions_in_space_unless_told_not_to(
     tmp_path, tiny_model, walk_of_25, capfd
 ):
     words = ["inspect", str(walk_of_25), "--output", str(tmp_path / "out")]
-    assert main([*words, "--model", str(tiny_model), "--num-samples", "20"]) == 0
+    assert main([*words, "--model", str(tiny_model)]) == 0
     assert f"rerun {tmp_path / 'out' / 'recording.rrd'}" in capfd.readouterr().out
     entities = entities_of(tmp_path / "out" / "recording.rrd")
     assert {f"/world/images/{number}" for number in range(25)} <= entities

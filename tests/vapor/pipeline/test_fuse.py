@@ -12,8 +12,7 @@ from filtering.localizer import ParticleLocalizer
 from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
-from sequences.estimates.options import EstimateOptions
-from sequences.estimates.sequence import EstimateSequence
+from sequences.estimates.sequence import EstimateOptions, EstimateSequence
 from sequences.frame import Trajectory
 from sequences.odometry import OdometryNoise
 from sequences.trajectories.tum import read_tum, write_tum

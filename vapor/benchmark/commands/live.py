@@ -13,7 +13,7 @@ import tyro
 from rich.table import Table
 
 from filtering.errors import VaporTrackError, require_within
-from sequences.live.options import MAX_DOMAIN
+from sequences.live.transport import MAX_DOMAIN
 from sequences.outputs import claim_folder
 from vapor.benchmark import PROGRAM
 from vapor.benchmark.commands.cells import new_table

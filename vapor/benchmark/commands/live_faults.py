@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 from filtering.errors import VaporTrackError, require_within
-from sequences.live.options import MAX_DOMAIN
+from sequences.live.transport import MAX_DOMAIN
 from vapor.benchmark import PROGRAM
 from vapor.benchmark.commands.cells import new_table
 from vapor.benchmark.live.faults import FAULTS, Outcome, run_fault

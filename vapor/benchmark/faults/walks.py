@@ -135,7 +135,7 @@ class RecordedWalk:
         Raises:
             VaporTrackError: it cannot be read.
         """
-        asked = replace(self.reading, poses=None, poses_times=None).stated | {"package": version("vapor-track")}
+        asked = replace(self.reading, poses=None).stated | {"package": version("vapor-track")}
         made = hashlib.sha256(json.dumps(asked).encode())
         for path in (*listing.files_read(self.file), *self.reading.files_read):
             for part in sorted(path.rglob("*")) if path.is_dir() else [path]:

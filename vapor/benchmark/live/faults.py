@@ -16,8 +16,7 @@ import numpy as np
 
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
-from sequences.live.options import DdsOptions
-from sequences.live.transport import Offer, Transport, join
+from sequences.live.transport import DdsOptions, Offer, Transport, join
 from sequences.recordings.message_definitions import decoder
 from sequences.recordings.messages import pose_from_message, stamp_ns
 from sequences.recordings.source import RawMessage

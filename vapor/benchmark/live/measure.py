@@ -19,8 +19,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from filtering.errors import VaporTrackError
-from sequences.live.options import DdsOptions
-from sequences.live.transport import Offer, Transport, join
+from sequences.live.transport import DdsOptions, Offer, Transport, join
 from vapor.benchmark.live.traffic import IMAGE, ODOMETRY, Sent, Traffic, Walk, play, stamp_of
 
 POSE, BASE_POSE = "/estimate/pose", "/estimate/base_pose"

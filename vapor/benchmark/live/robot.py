@@ -14,8 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from filtering.se3 import Poses
-from sequences.live.options import DdsOptions
-from sequences.live.transport import join
+from sequences.live.transport import DdsOptions, join
 from sequences.recordings.mcap_writer import ros_poses
 from sequences.recordings.message_definitions import decoder, encoder
 from sequences.recordings.messages import pose_from_message

@@ -14,8 +14,7 @@ from filtering.errors import VaporTrackError
 from filtering.motion import MotionNoise, Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
-from sequences.estimates.options import EstimateOptions
-from sequences.estimates.sequence import EstimateSequence
+from sequences.estimates.sequence import EstimateOptions, EstimateSequence
 from sequences.files import read_arrays
 from sequences.frame import BASE_FROM_CAMERA
 from sequences.odometry import OdometryNoise, simulate_odometry
