@@ -19,8 +19,6 @@ from pathlib import Path
 from sequences.errors import SequenceError
 
 _HIDDEN = re.compile(r"\..+\.[0-9a-f]{8}\.partial")
-CACHE = ".vapor-track-cache"
-"""Name of folders with what can be made again, beside what it was made from: no folder is refused for one."""
 NEW = "new"
 _REPLACED, _ADDED = "replaced", "added"
 

@@ -17,7 +17,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from sequences.atomic import CACHE, NEW, atomic_output, clear_leftovers, followed, is_workspace, move_in, workspace
+from sequences.atomic import NEW, atomic_output, clear_leftovers, followed, is_workspace, move_in, workspace
 from sequences.errors import SequenceError
 
 MANIFEST = "manifest.json"
@@ -152,7 +152,7 @@ def unexpected_files(directory: Path, reads: Iterable[Path]) -> dict[str, str]:
     unexpected: dict[str, str] = {}
     for entry in sorted(directory.iterdir()):
         name, ours = entry.name, listed.get(entry.name)
-        if is_workspace(name) or name == CACHE or (name == MANIFEST and listed):
+        if is_workspace(name) or (name == MANIFEST and listed):
             continue
         if entry.resolve() in read:
             unexpected[name] = f"{name} (which is read)"
@@ -297,7 +297,7 @@ def claim_folder(directory: Path, command: str, *, reads: Iterable[Path] = (), o
         if (manifest := own_manifest(directory)) is not None and manifest["files"] is None:
             return
         entries = (entry.name for entry in sorted(directory.iterdir()))
-        names = [name for name in entries if not (is_workspace(name) or name == CACHE)]
+        names = [name for name in entries if not is_workspace(name)]
         if names and not overwrite:
             raise SequenceError(
                 f"{given}: {short_list(names)}, expected an empty folder or one of `{command}`; --overwrite"

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from filtering.se3 import Poses as Poses
     from filtering.storeys import Storeys as Storeys
     from sequences.reader import SequenceReader as SequenceReader
-    from vapor.calibration.calibrate_model import calibrate_model as calibrate_model
+    from vapor.calibration.calibrate import calibrate_model as calibrate_model
     from vapor.landmarks.verify import LandmarkVerifier as LandmarkVerifier
     from vapor.observation import VaporObservationModel as VaporObservationModel
     from vapor.pipeline.config import RunConfig as RunConfig
@@ -54,7 +54,7 @@ _MODULES = {
     "VaporObservationModel": "vapor.observation",
     "VaporTrackError": "filtering.errors",
     "View": "filtering.cameras",
-    "calibrate_model": "vapor.calibration.calibrate_model",
+    "calibrate_model": "vapor.calibration.calibrate",
     "fuse": "vapor.pipeline.fuse",
     "live": "vapor.robot.live",
     "run": "vapor.pipeline.run",

@@ -26,7 +26,7 @@ def digest(settings: Mapping[str, Any]) -> str:
 def cached(path: Path, settings: Mapping[str, Any], compute: Callable[[], Any]) -> Any:
     """The result of `compute`, called with one thread, or the cached one of the same settings; all are JSON.
 
-    The path is that of the file, without the digest of the settings and `.json`.
+    `path` lacks the digest of the settings and `.json`.
     """
     file = path.with_name(f"{path.name}-{digest(settings)}.json")
     try:

@@ -18,15 +18,15 @@ _SAME_ASPECT = 0.02
 
 
 class AsTakenBy:
-    """Images as one camera would have taken them, whichever camera took them; unchanged where that camera is unknown.
+    """Images of any camera, resampled as one camera would have taken them; unchanged where that camera is unknown.
 
     Parts that the other camera did not see are filled with the colours of its border, which disturbs a network least:
-    black looks like objects, and enlarging the image makes everything seem nearer. Counts of cameras with another view,
-    and the smallest fraction of the view that any of them saw, are over the images so far.
+    black looks like objects, and enlarging the image makes everything seem nearer. `cameras` counts the images of
+    cameras with another view; `least_fraction` is the smallest fraction of the view that any of them saw.
     """
 
     def __init__(self, camera: Camera | None, frame_size: tuple[int, int]) -> None:
-        """Set up for images that will be scaled to cover a frame of so many pixels, width and height."""
+        """Set up for images that will be scaled to cover a frame of this width and height, pixels."""
         self.camera, self.frame_size = camera, frame_size
         self.cameras: Counter[Camera] = Counter()
         self.least_fraction = 1.0
@@ -57,8 +57,7 @@ class AsTakenBy:
 
     @property
     def sees_less(self) -> bool:
-        """Whether images so far show much less than that camera would have seen; filled parts look out of
-        distribution."""
+        """Whether images so far show much less than the camera's view; filled parts look out of distribution."""
         return self.least_fraction < _LEAST_FRACTION
 
     @property

@@ -11,13 +11,13 @@ from vapor.regressors.network_config import NetworkConfig
 
 
 def cover_size(columns: int, rows: int, width: int, height: int) -> tuple[int, int]:
-    """Width and height of an image of so many columns and rows after scaling it to just cover a frame."""
+    """Width and height of an image, given its columns and rows, after scaling it to just cover a frame."""
     scale = max(width / columns, height / rows)
     return max(width, round(columns * scale)), max(height, round(rows * scale))
 
 
 def scale_to_cover(image: UInt8[np.ndarray, "h w *c"], width: int, height: int) -> UInt8[np.ndarray, "h2 w2 *c"]:
-    """The image scaled so that it just covers a frame of so many pixels, each the mean of the area it covers."""
+    """The image scaled to just cover a frame of this width and height, by averaging over areas."""
     rows, columns = image.shape[:2]
     scale = max(width / columns, height / rows)
     if scale == 1.0:
@@ -27,7 +27,7 @@ def scale_to_cover(image: UInt8[np.ndarray, "h w *c"], width: int, height: int) 
 
 
 def centre_crop(image: UInt8[np.ndarray, "h w *c"], width: int, height: int) -> UInt8[np.ndarray, "height width *c"]:
-    """So many pixels from the middle of the image."""
+    """The middle of the image, of this width and height."""
     y, x = (image.shape[0] - height) // 2, (image.shape[1] - width) // 2
     return image[y : y + height, x : x + width]
 

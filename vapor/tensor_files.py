@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from safetensors import SafetensorError, deserialize, safe_open
+from safetensors.numpy import save
 
 from filtering.errors import VaporTrackError
 from sequences.atomic import atomic_output
@@ -29,13 +30,10 @@ _TYPES: Mapping[str, str] = MappingProxyType(
         **{f"U{bits}": f"uint{bits}" for bits in (8, 16, 32, 64)},
         "BF16": "bfloat16",
         "BOOL": "bool",
-        "C64": "complex64",
-        "F8_E4M3": "float8_e4m3fn",
-        "F8_E5M2": "float8_e5m2",
-        "F8_E8M0": "float8_e8m0fnu",
     }
 )
 """Names of types in safetensors -> in torch."""
+Stored: TypeAlias = "StoredTensor | np.ndarray | Tensor"
 FLOATS = "float16", "bfloat16", "float32", "float64"
 
 
@@ -50,6 +48,14 @@ class StoredTensor:
     dtype: str
     shape: tuple[int, ...]
     data: bytes | bytearray
+
+    @staticmethod
+    def of(value: Stored) -> StoredTensor:
+        """A tensor of torch, on any device, or an array."""
+        if isinstance(value, StoredTensor):
+            return value
+        array = value if isinstance(value, np.ndarray) else value.detach().cpu().numpy()
+        return StoredTensor(array.dtype.name, array.shape, array.tobytes())
 
     def array(self) -> np.ndarray:
         """A copy as an array; bfloat16, which numpy lacks, becomes float32."""
@@ -68,30 +74,23 @@ class StoredTensor:
         return flat.reshape(self.shape)
 
 
-def write_safetensors(path: Path, tensors: Mapping[str, Tensor], metadata: Mapping[str, str]) -> None:
-    """Write tensors on the CPU with a checksum, complete or not at all; a checksum in the metadata is replaced.
+def write_safetensors(path: Path, tensors: Mapping[str, Stored], metadata: Mapping[str, str]) -> None:
+    """Write tensors and arrays with a checksum, complete or not at all; a checksum in the metadata is replaced.
 
     Raises:
         SequenceError: the folder is missing, or cannot be written to.
     """
-    from safetensors.torch import save
-
-    tensors = {name: value.contiguous() for name, value in tensors.items()}
-    _write(path, save(tensors, {**metadata, CHECKSUM: content_sha256(tensors, metadata)}))
-
-
-def write_arrays(path: Path, arrays: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> None:
-    """As `write_safetensors`, for arrays."""
-    _write(path, arrays_as_bytes(arrays, metadata))
+    content = as_bytes(tensors, metadata)
+    with atomic_output(path) as temporary:
+        # The library's own writing to a file would leave it readable for its owner only.
+        temporary.write_bytes(content)
 
 
-def arrays_as_bytes(arrays: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> bytes:
-    """The content of a file of arrays, with its checksum."""
-    from safetensors.numpy import save
-
-    arrays = {name: np.asarray(value, order="C") for name, value in arrays.items()}
-    parts = ((name, str(value.dtype), value.shape, value.reshape(-1).data) for name, value in arrays.items())
-    return save(arrays, {**metadata, CHECKSUM: _sha256(parts, metadata)})
+def as_bytes(tensors: Mapping[str, Stored], metadata: Mapping[str, str]) -> bytes:
+    """The content of a file of tensors and arrays, with its checksum."""
+    stored = {name: StoredTensor.of(value) for name, value in tensors.items()}
+    arrays = {name: value.array() for name, value in stored.items()}
+    return save(arrays, {**metadata, CHECKSUM: content_sha256(stored, metadata)})
 
 
 def read_safetensors(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:
@@ -129,9 +128,8 @@ def parse_stored(path: Path, content: bytes) -> tuple[dict[str, str], dict[str, 
         if part["dtype"] not in _TYPES:
             raise CheckpointError(f"{path}: tensor {name} is of {part['dtype']}, expected one of {', '.join(_TYPES)}")
         tensors[name] = StoredTensor(_TYPES[part["dtype"]], tuple(part["shape"]), part["data"])
-    parts = ((name, value.dtype, value.shape, value.data) for name, value in tensors.items())
     has_checksum = CHECKSUM in metadata or metadata.get("format", "").startswith(_OURS)
-    if has_checksum and metadata.get(CHECKSUM) != _sha256(parts, metadata):
+    if has_checksum and metadata.get(CHECKSUM) != content_sha256(tensors, metadata):
         raise CheckpointError(
             f"{path}: damaged: its tensors or settings do not match its checksum, expected the file as it was written"
         )
@@ -147,32 +145,12 @@ def format_of(path: Path) -> str | None:
         return None
 
 
-def content_sha256(tensors: Mapping[str, Tensor], metadata: Mapping[str, str]) -> str:
+def content_sha256(tensors: Mapping[str, Stored], metadata: Mapping[str, str]) -> str:
     """SHA-256 of names, types, shapes and bytes of all tensors, and of all metadata but the checksum itself."""
-    import torch
-
-    parts = (
-        (
-            name,
-            str(tensor.dtype).removeprefix("torch."),
-            tensor.shape,
-            tensor.reshape(-1).view(torch.uint8).numpy().data,
-        )
-        for name, tensor in tensors.items()
-    )
-    return _sha256(parts, metadata)
-
-
-def _sha256(parts: Iterable[tuple[str, str, Iterable[int], Any]], metadata: Mapping[str, str]) -> str:
     others = {name: value for name, value in metadata.items() if name != CHECKSUM}
     digest = hashlib.sha256(json.dumps(others, sort_keys=True).encode())
-    for name, dtype, shape, data in sorted(parts, key=lambda part: part[0]):
-        digest.update(json.dumps([name, f"torch.{dtype}", list(shape)]).encode())
-        digest.update(data)
+    for name in sorted(tensors):
+        tensor = StoredTensor.of(tensors[name])
+        digest.update(json.dumps([name, f"torch.{tensor.dtype}", list(tensor.shape)]).encode())
+        digest.update(tensor.data)
     return digest.hexdigest()
-
-
-def _write(path: Path, content: bytes) -> None:
-    with atomic_output(path) as temporary:
-        # The library's own writing to a file would leave it readable for its owner only.
-        temporary.write_bytes(content)

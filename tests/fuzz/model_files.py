@@ -1,6 +1,6 @@
 """Small model files and training states: written, and read."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from tests.helpers.sequence_files import CAMERA, Walk
 from vapor.checkpoints.calibration import Calibration
 from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
-from vapor.checkpoints.stored_tensors import landmark_arrays, landmarks_config
+from vapor.checkpoints.stored_tensors import LandmarksConfig, landmark_arrays
 from vapor.engines.onnx_file import describe_onnx
 from vapor.evaluation.validation import Validation
 from vapor.landmarks.features import SIFT_SIZE, SIZE, Features, restored, stored
@@ -135,7 +135,7 @@ def load_model(path: Path) -> Reading:
     content.add(loaded.network, loaded.box, loaded.calibration, loaded.camera, loaded.training)
     count = _add_arrays(content, dict(loaded.state_dict), loaded.prior_poses, loaded.ood_model, loaded.memory)
     if loaded.landmarks is not None:
-        content.add(landmarks_config(loaded.landmarks))
+        content.add(asdict(LandmarksConfig.of(loaded.landmarks)))
         count += _add_arrays(content, dict(landmark_arrays(loaded.landmarks)))
         _localize(loaded.landmarks)
     return Reading(content.digest, count)

@@ -12,7 +12,7 @@ from safetensors.numpy import load
 from vapor.checkpoints.checkpoint import ModelDescription
 from vapor.engines import onnx_file
 from vapor.engines.onnx_file import ARRAYS, CONFIG, GRAPH, add_description
-from vapor.tensor_files import arrays_as_bytes
+from vapor.tensor_files import as_bytes
 
 GRAPH_BYTES = b"\x08\x08" + b"\x3a\x05\x12\x03abc" + b"\x42\x02\x10\x11"
 """IR version 8, a graph that is but a name, operators of version 17."""
@@ -60,7 +60,7 @@ def with_config(content: bytes, config: str) -> bytes:
     """An exported model of another configuration, under a checksum that fits."""
 
     def other(arrays: bytes) -> bytes:
-        return arrays_as_bytes(load(arrays), metadata_of(arrays) | {"config": config})
+        return as_bytes(load(arrays), metadata_of(arrays) | {"config": config})
 
     graph, entries = take_apart(with_arrays(content, other))
     return put_together(graph, [(name, config.encode() if name == CONFIG.encode() else text) for name, text in entries])

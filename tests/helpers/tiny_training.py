@@ -48,6 +48,14 @@ def make_frames(count: int, seed: int = 0, places: int | None = None) -> list[Fr
     return [Frame(i, images[i % len(images)], None, Poses.exp(t)) for i, t in enumerate(tangents)]
 
 
+def walks() -> dict[str, list[Frame]]:
+    """Four walks of 24 images along the same line, of which one is held out."""
+    frames = make_frames(96)
+    poses = [Poses(np.eye(3), np.array([0.1 * i, 0.0, 0.0])) for i in range(24)]
+    moved = [replace(frame, world_from_camera=poses[i % 24]) for i, frame in enumerate(frames)]
+    return {name: moved[24 * i : 24 * (i + 1)] for i, name in enumerate("abcd")}
+
+
 def pose(frame: Frame) -> Poses:
     assert frame.world_from_camera is not None
     return frame.world_from_camera

@@ -20,6 +20,7 @@ from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
 from vapor.observation import VaporObservationModel
 from vapor.regressors.backbones import Describer
 from vapor.regressors.ood_model import OodModel
+from vapor.tensor_files import CheckpointError
 from vapor.training.train import train_on
 from vapor.training_data.load import load_training_set
 
@@ -130,17 +131,25 @@ def test_a_model_file_keeps_its_camera(tmp_path: Path) -> None:
     assert load_checkpoint(path).network_sha256() == uncalibrated().network_sha256()
 
 
-def test_a_model_file_written_before_cameras_were_kept_has_none(tmp_path: Path) -> None:
-    save_checkpoint(tmp_path / "new.safetensors", replace(uncalibrated(), camera=A))
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"fx": "long"}, "camera configuration has fx 'long', expected a number"),
+        ({"width": 160.5}, "camera configuration has width 160.5, expected a whole number"),
+        ({"fy": -1.0}, "camera with fy -1.0, expected between"),
+        ({"k1": 0.1}, r"camera configuration lacks \[\] and has surplus \['k1'\]"),
+    ],
+)
+def test_a_camera_in_a_model_file_that_is_none_is_refused(change: dict, said: str, tmp_path: Path) -> None:
+    save_checkpoint(tmp_path / "m.safetensors", replace(uncalibrated(), camera=A))
 
-    def forget(tensors: Tensors, metadata: Metadata) -> None:
+    def damage(tensors: Tensors, metadata: Metadata) -> None:
         config = json.loads(metadata["config"])
-        del config["camera"]
+        config["camera"] |= change
         metadata["config"] = json.dumps(config)
 
-    old = load_checkpoint(altered(tmp_path / "new.safetensors", tmp_path / "old.safetensors", forget))
-    assert old.camera is None
-    assert old.seen_sha256() == uncalibrated().seen_sha256()
+    with pytest.raises(CheckpointError, match=said):
+        load_checkpoint(altered(tmp_path / "m.safetensors", tmp_path / "bad.safetensors", damage))
 
 
 # --- in use and in training ------------------------------------------------------------------------

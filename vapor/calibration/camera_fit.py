@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Int64
 
-from filtering.se3 import Poses
-from vapor.calibration.verified_errors import QueryFeatures, leave_out
+from vapor.calibration.verified_errors import leave_out
 from vapor.landmarks.build import BuiltMap, Material, build, camera_found
 from vapor.landmarks.landmark_map import ViewCamera
 
@@ -24,12 +22,12 @@ class CameraFit:
 
     Attributes:
         stated: The stated or guessed camera, at the size of the features.
-        known: Whether it is stated.
+        known: Whether the camera is stated.
         found: The camera of best fit, at that size.
-        focal_std: Standard deviation of the logarithm of its focal length, from pixels alone.
-        by_stated: The map by the stated camera; None where there is none, or none was asked for.
-        by_found: Likewise by the found one.
-        errors_m: Median errors of localized images by either map, infinite where most have no right pose; None where
+        focal_std: Standard deviation of the logarithm of the found focal length, from pixels alone.
+        by_stated: The map by the stated camera, if it was built.
+        by_found: The map by the found camera, if it could be built.
+        errors_m: Median errors of localized images by both maps, infinite where most have no right pose; None where
             there is only one map.
     """
 
@@ -66,46 +64,32 @@ class CameraFit:
         words += f", {found_px:.0f} px and distortion k1 {self.found.k1:.3f}, k2 {self.found.k2:.3f} {fit}"
         if self.errors_m is None or self.by_stated is None:
             return words
-        words += f": {self.by_found.agreeing:.0%} instead of {self.by_stated.agreeing:.0%} of matches agree"
-        if not np.isfinite(self.errors_m).any():
-            return words
         stated, found = (f"{100 * each:.1f} cm" if np.isfinite(each) else "hardly at all" for each in self.errors_m)
-        return f"{words}, and images are localized within {found} instead of {stated}"
+        return (
+            f"{words}: {self.by_found.agreeing:.0%} instead of {self.by_stated.agreeing:.0%} of matches agree, and"
+            f" images are localized within {found} instead of {stated}"
+        )
 
 
-def fit_camera(
-    material: Material,
-    stated: ViewCamera,
-    features: QueryFeatures,
-    poses: Poses,
-    sequence: Int64[np.ndarray, " n"],
-    *,
-    known: bool,
-    compare: bool = True,
-) -> CameraFit | None:
+def fit_camera(material: Material, *, compare: bool = True) -> CameraFit | None:
     """The camera of best fit; None where too few points are seen from two sides.
 
-    Where one is stated (`known`), the maps of both are compared by localized images, unless `compare` is false. Other
-    arguments are those of `leave_out`.
+    Where a camera is stated, the maps by both cameras are compared by localized images, if `compare`.
     """
+    stated, known = ViewCamera(material.camera), material.stated is not None
     found = camera_found(material, stated)
     if found is None:
         return None
     by_found, by_stated = build(material, found.camera), build(material, stated) if known and compare else None
     errors = None
     if by_stated is not None and by_found is not None:
-        errors = (
-            _typical_error_m(by_stated, features, poses, sequence),
-            _typical_error_m(by_found, features, poses, sequence),
-        )
+        errors = _typical_error_m(by_stated), _typical_error_m(by_found)
     return CameraFit(stated, known, found.camera, found.focal_std, by_stated, by_found, errors)
 
 
-def _typical_error_m(
-    built: BuiltMap, features: QueryFeatures, poses: Poses, sequence: Int64[np.ndarray, " n"]
-) -> float:
+def _typical_error_m(built: BuiltMap) -> float:
     """Median error of localized images; infinite where most have no verified pose of the right place."""
-    left_out = leave_out(built, features, poses, sequence, most=_COMPARED, stretches=(1.0,))
+    left_out = leave_out(built, most=_COMPARED, stretches=(1.0,))
     metres, _ = left_out.errors
-    every = np.concatenate([metres, np.full(len(left_out.image) - len(metres), np.inf)])
+    every = np.concatenate([metres, np.full(len(left_out.found) - len(metres), np.inf)])
     return float(np.median(every)) if len(every) else np.inf

@@ -13,22 +13,22 @@ from vapor.checkpoints.scene_scale import LENGTH_RAD
 LEAST_PAIRS = 50
 """Least number of pairs of images for a fit of a correlation."""
 _MOST_PAIRS = 10**6
-_LENGTHS = np.geomspace(0.003, 0.15, 10)  # over which errors last, in extents
+_LENGTHS = np.geomspace(0.003, 0.15, 10)  # correlation lengths that are tried, in extents
 _LENGTHS_RAD = (0.2, 0.4, 0.8, 1.6)
-_CLEARLY = 1.01  # by this factor another angle must make the squares smaller to be taken for the ordinary one
-_FRACTIONS = (0.5, 0.7)  # of the variance, that last
+_CLEARLY = 1.01  # factor by which an angle must reduce the squares to replace the ordinary one
+_FRACTIONS = (0.5, 0.7)  # range of the correlated fraction of the variance
 _LEAST_IN_BIN, _LEAST_EFFECTIVE = 10, 30
-_BINS = np.append(0.0, np.geomspace(0.05, 1e4, 72))  # of pairs of images, by how many lengths they are apart
+_BINS = np.append(0.0, np.geomspace(0.05, 1e4, 72))  # edges of bins of pairs of images, by their distance in lengths
 _WINDOW, _LEAST_CORRELATION = 4.0, 0.1
-_NO_MISTAKE = 0.02  # of the images, that find the true place less likely than not: fewer count as none
-_MISTAKEN = np.geomspace(0.125, 32.0, 17)  # lengths over which mistakes fade
+_NO_MISTAKE = 0.02  # least fraction of images that find the true place less likely than not
+_MISTAKEN = np.geomspace(0.125, 32.0, 17)  # correlation lengths of mistakes that are tried, in lengths
 _FARTHEST_LENGTHS, _LEAST_VOTE, _LEAST_MISTAKEN, _MOST_MISTAKEN = 100.0, 0.25, 4.0, 40.0
-_ANOTHER_HOUR = 3.0  # times as far beyond one length mistakes reach where the light is another than on held-out passes
+_ANOTHER_HOUR = 3.0  # factor of the excess over one length where the light differs from the held-out passes
 
 
 @dataclass(frozen=True)
 class Travel:
-    """Metres and radians since the first image of its pass of n images; images of one pass lie together."""
+    """Distance of n images from the first image of their pass, metres and radians; images of one pass lie together."""
 
     pass_number: Int64[np.ndarray, " n"]
     metres: Float64[np.ndarray, " n"]
@@ -36,7 +36,7 @@ class Travel:
 
     @staticmethod
     def along(poses: Poses, pass_number: Int64[np.ndarray, " n"]) -> Travel:
-        """The travel along poses (n,) of numbered passes, each in order of time."""
+        """The distances along poses (n,) of numbered passes, each in order of time."""
         begins = np.diff(pass_number, prepend=pass_number[:1] - 1) != 0
         steps = poses[:-1].distance(poses[1:])
         metres, radians = (np.cumsum(np.append(0.0, step)) for step in steps)
@@ -50,9 +50,9 @@ class Travel:
 def pairs_of_images(
     travel: Travel, usable: Bool[np.ndarray, " n"]
 ) -> tuple[Int64[np.ndarray, " k"], Int64[np.ndarray, " k"]]:
-    """Indices of the earlier and the later image of k pairs of usable images, each of one pass.
+    """Indices of the earlier and the later image of k pairs of usable images of one pass.
 
-    Of too many pairs, those farthest apart are left out.
+    Where there are too many pairs, the most distant ones are left out.
     """
     firsts, seconds = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
     for lag in range(1, min(len(usable), _MOST_PAIRS // max(len(usable), 1) + 1)):
@@ -64,7 +64,7 @@ def pairs_of_images(
 
 @dataclass(frozen=True)
 class ErrorCorrelation:
-    """Correlated fraction of the variance of errors, and the lengths over which the correlation fades to 1/e."""
+    """Correlated fraction of the variance of errors, and the lengths over which the correlation falls to 1/e."""
 
     fraction: float
     length_m: float
@@ -73,7 +73,7 @@ class ErrorCorrelation:
     def between(
         self, travel: Travel, first: slice | Int64[np.ndarray, " k"], second: slice | Int64[np.ndarray, " k"]
     ) -> Float64[np.ndarray, " k"]:
-        """Lengths between pairs of images."""
+        """Distances between pairs of images, in lengths."""
         metres, radians = travel.metres[second] - travel.metres[first], travel.radians[second] - travel.radians[first]
         return np.hypot(metres / self.length_m, radians / self.length_rad)
 
@@ -84,11 +84,24 @@ def fit_decay(
     weights: Float64[np.ndarray, " k"] | float,
     limits: tuple[float, float] = (0.0, 1.0),
 ) -> tuple[float, float]:
-    """Sum of squares and fraction of the best fit of fraction · exp(−lengths) to products of pairs."""
+    """Best fit of fraction · exp(−lengths) to the products of pairs: sum of squares, and fraction."""
     kernel = np.exp(-lengths)
     weight = max(float((weights * np.square(kernel)).sum()), 1e-300)
     fraction = float(np.clip((weights * kernel * products).sum() / weight, *limits))
     return float((weights * np.square(products - fraction * kernel)).sum()), fraction
+
+
+def best_decay(
+    apart: Float64[np.ndarray, " k"],
+    products: Float64[np.ndarray, " k"],
+    weights: Float64[np.ndarray, " k"] | float,
+    lengths: Float64[np.ndarray, " l"],
+    limits: tuple[float, float] = (0.0, 1.0),
+) -> tuple[float, float]:
+    """The length, and the fraction, of the best fit of fraction · exp(−apart / length) to products of pairs."""
+    costs, fractions = zip(*(fit_decay(apart / length, products, weights, limits) for length in lengths), strict=True)
+    best = int(np.argmin(costs))
+    return float(lengths[best]), fractions[best]
 
 
 def fit_error_correlation(
@@ -97,13 +110,13 @@ def fit_error_correlation(
     travel: Travel,
     extent: float,
 ) -> ErrorCorrelation:
-    """The correlation of the directions of errors (n, 6), in standard deviations, as the camera moves on.
+    """The correlation of the directions of errors (n, 6), in standard deviations, along the path of the camera.
 
-    Least squares give the correlated fraction, and how many metres change a view as much as how many radians. Of two
-    lengths of correlation they find the larger only, while the number of effective images depends on the sum of all
+    Least squares give the correlated fraction, and the ratio of metres to radians. Where errors have two correlation
+    lengths, least squares find only the larger one, but the number of effective images depends on the sum of all
     correlations. So the lengths are matched to that sum, where there are enough images. Their unit is `extent`, metres.
     """
-    # Of their directions: images err more in one part of the scene than in another, which is not an error that lasts.
+    # Directions only: errors are larger in one part of the scene than in another, which is no correlation.
     direction = residual / np.maximum(np.linalg.norm(residual, axis=1, keepdims=True), 1e-300)
     first, second = pairs_of_images(travel, usable)
     if len(first) < LEAST_PAIRS:
@@ -139,7 +152,7 @@ def fit_error_correlation(
 def _correlation_length(lengths: Float64[np.ndarray, " k"], products: Float64[np.ndarray, " k"]) -> float:
     """Integral of the correlation over the distance between images, from products of pairs.
 
-    It ends at a few times the length over which the correlation fades (Sokal's window), or with the last pairs.
+    It ends at a few correlation lengths (Sokal's window), or with the last pairs.
     """
     bins = np.searchsorted(_BINS, lengths, side="right") - 1
     count = np.bincount(bins, minlength=len(_BINS))
@@ -158,7 +171,7 @@ def _correlation_length(lengths: Float64[np.ndarray, " k"], products: Float64[np
 
 
 def effective_images(travel: Travel, correlated: ErrorCorrelation) -> float:
-    """Number of independent images of as much information: one a pass and one for every two lengths, at most all."""
+    """Number of independent images with the same information: one a pass and one for every two lengths, at most all."""
     steps = correlated.between(travel, slice(None, -1), slice(1, None))
     return 1.0 + float(np.where(np.diff(travel.pass_number) == 0, np.minimum(steps / 2.0, 1.0), 1.0).sum())
 
@@ -166,12 +179,12 @@ def effective_images(travel: Travel, correlated: ErrorCorrelation) -> float:
 def outlier_lengths(
     evidence: Float64[np.ndarray, " n"], travel: Travel, correlated: ErrorCorrelation, *, same_conditions: bool = False
 ) -> float:
-    """The number of lengths of errors over which images are one vote on the place; 1 where no image mistakes the place.
+    """The distance over which images are one vote on the place, in lengths of errors; 1 where no image is mistaken.
 
-    The evidence (`Places.evidence`) of two images of a pass correlates, the less the more lengths they are apart. A
-    vote is worth less by the sum of an image's correlations with all others; uncorrelated evidence counts once a
-    length. Under other conditions than on held-out passes mistakes last longer (three to five times in two synthetic
-    buildings at another hour), so the excess over one length is multiplied, unless `same_conditions`.
+    The correlation of the evidence (`Places.evidence`) of two images of a pass falls with the distance between them.
+    The weight of a vote follows from the sum of an image's correlations; uncorrelated evidence counts once a length.
+    Under other conditions than on held-out passes mistakes last longer (three to five times in two synthetic buildings
+    at another hour), so the excess over one length is tripled, unless `same_conditions`.
     """
     if len(evidence) < LEAST_PAIRS or (evidence < np.log(0.5)).mean() < _NO_MISTAKE:
         return 1.0
@@ -183,11 +196,8 @@ def outlier_lengths(
     apart, products = apart[near], (value[first] * value[second])[near]
     if len(products) < LEAST_PAIRS:
         return 1.0
-    best, vote, new = np.inf, 1.0, min(float(np.median(steps)), 1.0)
-    for lengths in _MISTAKEN:
-        cost, fraction = fit_decay(apart / lengths, products, 1.0)
-        if cost < best:
-            best, vote = cost, (1.0 - fraction) * new + 2.0 * fraction * float(lengths)
+    lengths, fraction = best_decay(apart, products, 1.0, _MISTAKEN)
+    vote = (1.0 - fraction) * min(float(np.median(steps)), 1.0) + 2.0 * fraction * lengths
     if same_conditions:
         return float(np.clip(vote, _LEAST_VOTE, _MOST_MISTAKEN))
     return float(np.clip(1.0 + _ANOTHER_HOUR * (vote - 1.0), _LEAST_MISTAKEN, _MOST_MISTAKEN))

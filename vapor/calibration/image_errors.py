@@ -16,8 +16,8 @@ from vapor.calibration.error_correlation import Travel, effective_images, fit_er
 from vapor.calibration.places import Observations, Places, log_densities, log_sums
 from vapor.checkpoints.scene_scale import RADIUS_RAD, log_clutter_density, scene_extent
 
-_STARTS = (0.003, 0.02, 0.1, 0.3)  # of the noise floor, in extents
-_TRIES, _STEPS = 12, 80  # of the optimiser, from every start and from the best
+_STARTS = (0.003, 0.02, 0.1, 0.3)  # initial noise floors, in extents
+_TRIES, _STEPS = 12, 80  # steps of the optimiser, from every start and from the best
 _LOG_SPREAD, _LOG_NOISE_FLOOR, _LOG_DEGREES_OF_FREEDOM, _LOGIT_OUTLIERS = (
     (-5.0, 4.0),
     (-9.0, 0.0),
@@ -25,22 +25,22 @@ _LOG_SPREAD, _LOG_NOISE_FLOOR, _LOG_DEGREES_OF_FREEDOM, _LOGIT_OUTLIERS = (
     (-5.0, 0.0),
 )
 _LIMITS = (_LOG_SPREAD, *[_LOG_NOISE_FLOOR] * 6, _LOGIT_OUTLIERS, _LOG_DEGREES_OF_FREEDOM)
-_PULL, _PULLED_TO = 1e-4, np.log(0.02)  # of the noise floor's logarithms, decisive without data
-_POWERS = np.linspace(0.0, 1.5, 13)  # by which errors grow with the score
+_PULL, _PULLED_TO = 1e-4, np.log(0.02)  # weak prior of the noise floor's logarithms, decisive without data
+_POWERS = np.linspace(0.0, 1.5, 13)  # powers of the score that are tried
 LEAST_IMAGES = 20
-"""Images that are needed for a fit."""
+"""Least number of images for a fit."""
 LEAST_OUTLIERS = 0.05
-"""Least probability of outliers: neighbouring images err alike, so none in 500 does not exclude them."""
-_RADII = np.geomspace(0.01, 0.32, 6)  # of a place, in extents of the scene
-_AS_GOOD = 0.1  # nats an image, by which the likelihood may be below the highest for a wider place to be taken
-_ALIKE = 10.0  # images: the weight of the assumption that all axes err alike
-_UNSEEN = 2.0  # over the number of images: fraction of the variance that may be an error that lasts through all
-_UNSURE = 10.0  # over the number of images: by how much the variances of a fit are too small
+"""Least probability of outliers: errors of neighbouring images are correlated, so 500 images cannot exclude them."""
+_RADII = np.geomspace(0.01, 0.32, 6)  # radii of a place that are tried, in extents of the scene
+_AS_GOOD = 0.1  # loss of likelihood, nats an image, that is accepted for a wider place
+_ALIKE = 10.0  # weight of the assumption that all axes have equal errors, images
+_UNSEEN = 2.0  # divided by the number of images: fraction of the variance that may be common to all
+_UNSURE = 10.0  # divided by the number of images: fraction by which fitted variances are too small
 
 
 @dataclass(frozen=True)
 class Change:
-    """Values of a fit before and after, by their setting's name; `gain` is in nats per held-out image."""
+    """Values of a fit before and after it, by the name of the setting; `gain` is in nats per held-out image."""
 
     what: str
     before: dict[str, float | Six]
@@ -50,10 +50,12 @@ class Change:
 
 @dataclass(frozen=True)
 class FoundErrors:
-    """The likeliest errors for one reach of a place.
+    """The likeliest errors for one radius of a place.
 
-    `score` is the mean log likelihood, with the pull of the noise floor. `parameters` are logarithms of spread and
-    noise floor (in extents), logit of the outliers, and logarithm of the degrees of freedom, (9,).
+    Attributes:
+        score: Mean log likelihood, with the prior of the noise floor.
+        parameters: Logarithms of spread and noise floor (in extents), logit of the outlier probability, and logarithm
+            of the degrees of freedom, (9,).
     """
 
     score: float
@@ -81,10 +83,13 @@ def _unpack(parameters: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
 
 
 def most_likely_errors(places: Places, extent: float, flat: float, also: Tensor | None) -> FoundErrors:
-    """Spread, noise floor, degrees of freedom and outliers of highest likelihood, from several starting points and
-    `also`.
+    """Spread, noise floor, degrees of freedom and outlier probability of highest likelihood.
 
-    `extent` of the scene in metres is the unit of lengths. `flat` is the log density of poses spread evenly over it.
+    Args:
+        places: Places of the images.
+        extent: Extent of the scene, metres, the unit of lengths.
+        flat: Log density of poses spread evenly over the scene, per m³ rad³.
+        also: Parameters from which the search starts, too.
     """
     unit = np.array([extent] * 3 + [1.0] * 3)
     residual = torch.from_numpy(places.residual / unit)
@@ -95,7 +100,7 @@ def most_likely_errors(places: Places, extent: float, flat: float, also: Tensor 
     low, high = (torch.tensor(limits, dtype=torch.float64) for limits in zip(*_LIMITS, strict=True))
 
     def loss(parameters: Tensor) -> tuple[float, Tensor]:
-        """Negative mean log likelihood, with the pull of the noise floor, and its gradient."""
+        """Negative mean log likelihood, with the prior of the noise floor, and its gradient."""
         spread, noise_floor, outliers, degrees_of_freedom = _unpack(parameters)
         terms, slopes = log_densities(residual, covariance, fraction, spread, noise_floor, degrees_of_freedom)
         log_places = log_sums(terms, image)
@@ -145,9 +150,9 @@ def growing_errors(
     trained: Observations,
     trained_score: Float64[np.ndarray, " k"],
 ) -> MeasurementNoise:
-    """The model with errors that grow with the score by the power of highest likelihood.
+    """The errors with growth by the power of the score that has the highest likelihood.
 
-    Held-out images (n) and training images (k), which have lower scores, have the same weight.
+    Held-out images (n) and training images (k), which have lower scores, have the same total weight.
     """
     errors = replace(errors, typical_ood_score=ordinary_score(score))
     known = Places.near(trained.samples, trained.truth, errors.radius_m, errors.radius_rad)
@@ -160,13 +165,13 @@ def growing_errors(
 
 
 def ordinary_score(score: Float64[np.ndarray, " n"]) -> float:
-    """The median score, within the range that counts."""
+    """The median score, at most the threshold of images out of distribution."""
     return float(np.clip(np.median(score), LEAST_SCORE, OUT_OF_DISTRIBUTION))
 
 
 @dataclass(frozen=True)
 class ErrorFit:
-    """Errors of the posteriors of images with true poses, with the coverage of their 50, 90 and 95 % regions."""
+    """Fitted errors of posteriors, with the coverage of their 50, 90 and 95 % regions."""
 
     errors: MeasurementNoise
     changes: tuple[Change, ...]
@@ -189,17 +194,17 @@ def fit_errors(
 
         log[ε flat + (1 − ε) Σₖ fractionₖ t(true pose; placeₖ, spread Cₖ + diag(noise_floor²), ν)].
 
-    Among reaches of places of nearly the same likelihood, the widest is taken. Growth with the OOD score is the power
-    of highest likelihood. The correlation of errors comes from products of the normalised errors of two images against
-    the motion between them, that of mistakes from the evidence of two images for the true place. The fewer independent
-    images, the more alike are the axes and the larger the variances.
+    Of radii of places with nearly the same likelihood, the widest is taken. Growth with the OOD score is the power of
+    highest likelihood. The correlation of errors follows from products of the normalised errors of two images, the
+    correlation of mistakes from the evidence of two images for the true place. The fewer independent images, the more
+    equal are the axes and the larger the variances.
 
     Args:
         held_out: Held-out images.
         travel: Motion between them.
         scene: Poses that outline the scene, the unit of all lengths.
-        before: The model so far; other fields are kept.
-        trained: Training images.
+        before: Errors before the fit, from which other fields are kept.
+        trained: Training images, if errors may grow with the OOD score.
         same_conditions: Whether held-out images show the light and season of use.
     """
     extent = scene_extent(scene)
@@ -256,7 +261,7 @@ def fit_errors(
 
 
 def _widest_places(held_out: Observations, extent: float, flat: float) -> tuple[float, Places, FoundErrors]:
-    """The widest reach of places whose likelihood is nearly the highest, these places, and their errors."""
+    """The widest radius of places with nearly the highest likelihood, these places, and their errors."""
     tried = []
     parameters = None
     for radius in _RADII * extent:
@@ -269,9 +274,9 @@ def _widest_places(held_out: Observations, extent: float, flat: float) -> tuple[
 
 
 def cautious(errors: MeasurementNoise, effective: float) -> MeasurementNoise:
-    """Larger errors and more similar axes, the fewer independent images there are.
+    """Larger errors and more equal axes, the fewer independent images there are.
 
-    An error common to all images is not visible: with few images, a larger fraction of the variance may never fade.
+    An error common to all images is not visible, so the constant fraction of the variance grows, too.
     """
     variances = np.square(errors.noise_floor).reshape(2, 3)
     variances = (effective * variances + _ALIKE * variances.mean(axis=1, keepdims=True)) / (effective + _ALIKE)

@@ -18,7 +18,7 @@ EXEMPLARS = 1000
 """Training images that an image is compared with, at most."""
 _AXES = 48
 _BATCH = 64
-_FLATTEN = 0.3  # an axis of k times less variance than the first is stretched by k to the power of half of this
+_FLATTEN = 0.3  # an axis with k times less variance than the first is stretched by k^(0.3 / 2)
 _FEW_SEQUENCES, _BLOCKS = 8, 10
 _CHROMA_WEIGHT = 0.5
 
@@ -42,7 +42,7 @@ def extract_features(network: PoseRegressor, images: TrainingSet) -> Float32[np.
 def learn_ood_model(network: PoseRegressor, training: TrainingSet, held_out: TrainingSet) -> OodModel | None:
     """The OOD model of at most `EXEMPLARS` training images in order of time; None with fewer than 50.
 
-    The threshold is that of other images of the place, if there are 50.
+    The threshold follows from held-out images of the place, if there are 50.
     """
     if len(training) < LEAST_IMAGES:
         return None

@@ -20,12 +20,12 @@ from sequences.odometry_fit.result import six
 
 REGIONS = (0.5, 0.9, 0.95)
 """Probabilities of the regions whose coverage is reported."""
-_NEAREST = 8  # places of an image that are fitted: those nearest to the true pose
+_NEAREST = 8  # fitted places of an image, the nearest to the true pose
 
 
 @dataclass(frozen=True)
 class Observations:
-    """Posterior samples, (m,) each, and true poses of n images, and `PosePosterior.ood_score`, if any."""
+    """Posterior samples, (m,) each, true poses and, if any, OOD scores of n images."""
 
     samples: Sequence[Poses]
     truth: Poses
@@ -40,10 +40,10 @@ def log_densities(
     noise_floor: Tensor,
     degrees_of_freedom: Tensor,
 ) -> tuple[Tensor, Tensor]:
-    """Log of fraction times Student t density of each residual, (p,), and its slopes (p, 8).
+    """Log of fraction times Student t density of each residual, (p,), and its derivatives (p, 8).
 
-    The slopes are by the logarithms of spread, noise floor (6) and degrees of freedom. Automatic differentiation takes
-    twice the time.
+    The derivatives are by the logarithms of spread, noise floor (6) and degrees of freedom. Automatic differentiation
+    takes twice the time.
     """
     factor = torch.linalg.cholesky(spread * covariance + torch.diag(noise_floor.square()))
     inverse = torch.cholesky_inverse(factor)
@@ -82,13 +82,13 @@ def log_sums(terms: Tensor, image: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class Places:
-    """Places of n images, those nearest to the true pose, by image.
+    """Places of n images, the nearest to each true pose, by image.
 
     Attributes:
-        residual: The true pose from each place, ξ = (v, ω).
-        covariance: Of the samples.
-        fraction: Fraction of the image's samples in each.
-        image: The image of each, in increasing order, every image at least once.
+        residual: The true pose as seen from each place, ξ = (v, ω).
+        covariance: Covariance of the samples in each place.
+        fraction: Fraction of the image's samples in each place.
+        image: Number of the image, in increasing order, every image at least once.
     """
 
     residual: Float64[np.ndarray, "p 6"]
@@ -98,7 +98,7 @@ class Places:
 
     @staticmethod
     def near(samples: Sequence[Poses], truth: Poses, radius_m: float, radius_rad: float) -> Places:
-        """The places of each image by this reach in metres and radians: the eight nearest to its true pose."""
+        """Places of this radius, metres and radians, among samples: for each image the eight nearest to the truth."""
         parts = []
         for poses in samples:
             label, count = find_places(poses, radius_m, radius_rad)
@@ -117,7 +117,7 @@ class Places:
         return Places(residual[kept], covariance[kept], fraction[kept], image[kept])
 
     def grown(self, errors: MeasurementNoise, score: Float64[np.ndarray, " n"]) -> Places:
-        """The places as if every image had the ordinary score: g⁻³ t(ξ/√g; Σ) is t(ξ; g Σ)."""
+        """The places rescaled as if every image had the ordinary score: g⁻³ t(ξ/√g; Σ) is t(ξ; g Σ)."""
         growth = np.array([errors.growth(float(value)) for value in score])[self.image]
         return replace(self, residual=self.residual / np.sqrt(growth)[:, None], fraction=self.fraction / growth**3)
 
@@ -128,7 +128,7 @@ class Places:
         return np.logaddexp(np.log(outliers) + errors.log_clutter_density, np.log1p(-outliers) + log_places)
 
     def evidence(self, errors: MeasurementNoise) -> Float64[np.ndarray, " n"]:
-        """Log of how possible each image finds the true place, as in `associate`."""
+        """Log of the support of each image for the true place, as in `associate`."""
         covariance = errors.covariance(self.covariance)
         solved = np.linalg.solve(covariance, self.residual[..., None])[..., 0]
         squared = np.einsum("pi,pi->p", self.residual, solved)
@@ -137,7 +137,7 @@ class Places:
         return np.log(errors.outlier_probability + (1.0 - errors.outlier_probability) * possible)
 
     def residuals(self, errors: MeasurementNoise) -> tuple[Float64[np.ndarray, "n 6"], Bool[np.ndarray, " n"]]:
-        """Errors of the likeliest places in standard deviations, and which images beat a flat density.
+        """Errors of the likeliest places in standard deviations, and the mask of images that beat a flat density.
 
         Large errors are reduced by the weight of a Student t distribution.
         """
@@ -162,7 +162,7 @@ class Places:
         return fifty, ninety, most
 
     def lacking(self, errors: MeasurementNoise, region: float) -> float:
-        """Factor ≥ 1 of the variances by which the region of this probability holds as many true poses."""
+        """Factor ≥ 1 of the variances with which the region of this probability holds that fraction of the poses."""
         reached = float(np.quantile(self._squared(errors), region, method="higher"))
         return max(1.0, reached / float(6.0 * fisher.ppf(region, 6, errors.degrees_of_freedom)))
 

@@ -18,22 +18,26 @@ from vapor.landmarks.localize import VerifiedPose
 from vapor.landmarks.verify import Verification, proposed_weights
 
 _BELIEVED = np.array([1.5, 0.5, 1.0, 1.0])
-"""How sure the settings are before: standard deviations of log gain, power, log unproposed and log nothing."""
+"""Prior standard deviations of log gain, power, log unproposed and log clutter."""
 _REGION = 0.99
-_NONE_RIGHT = 0.5, 10.0  # images that were seen before: so many of so many were wrong
+_NONE_RIGHT = 0.5, 10.0  # prior: images without a right verified place, of all images
 _OUTLIERS = 0.005, 0.9
 _REACHES = np.geomspace(0.1, 3.0, 35)
-_REACH_STD = 0.7  # of its logarithm, before
-_OF_SHOWN = np.linspace(0.5, 1.0, 11)  # so many images are verified of those whose place is shown
-_ELSEWHERE = 0.5, 10.0  # images that were seen before: in so many of so many another place was verified, too
+_REACH_STD = 0.7  # prior standard deviation of the logarithm
+_OF_SHOWN = np.linspace(0.5, 1.0, 11)  # fractions of images of shown places that are verified
+_ELSEWHERE = 0.5, 10.0  # prior: images with a verified place elsewhere, of all images
 
 
 @dataclass(frozen=True)
 class SeenPlaces:
-    """The places of one held-out image with verified poses.
+    """The places of one held-out image with j verified poses.
 
-    Of each pose: its landmarks, the network's weight of its place, and whether it is at the true pose. Of the network's
-    places: the weight of all, and of those at the true pose.
+    Attributes:
+        inliers: Landmarks of each verified pose.
+        proposed: The network's weight of the place of each.
+        right: Whether each is at the true pose.
+        others: Weight of all places of the network.
+        others_right: Weight of its places at the true pose.
     """
 
     inliers: Float64[np.ndarray, " j"]
@@ -61,7 +65,7 @@ class SeenPlaces:
         )
 
     def support(self, settings: Verification) -> float:
-        """The weight of the verified places that are right."""
+        """The weight of the right verified places."""
         scores = settings.scores(self.inliers, self.proposed)
         return float(scores[self.right].sum() / (scores.sum() + self.others + settings.clutter))
 
@@ -92,9 +96,9 @@ def fit_reach(left_out: LeaveOut, effective: float) -> Verification:
 
 
 def fit_verification(images: Sequence[SeenPlaces], effective: float, before: Verification) -> Verification:
-    """The weights of verified places of held-out images, worth `effective` independent ones, of maximum posterior.
+    """Weights of verified places of maximum posterior; other settings are kept.
 
-    Settings that are not fitted are kept.
+    `effective` is the number of independent images with the information of the held-out ones.
     """
     if not images:
         return before
@@ -114,7 +118,7 @@ def fit_verification(images: Sequence[SeenPlaces], effective: float, before: Ver
 def evidence(
     images: Sequence[SeenPlaces], settings: Verification, outlier_probability: float, possible_fraction: float
 ) -> Float64[np.ndarray, " n"]:
-    """Log of how possible each image finds the true place, as in the filter."""
+    """Log of the support of each image for the true place, as in the filter."""
     support = np.array([each.support(settings) for each in images])
     possible = support / (support + possible_fraction)
     return np.log(outlier_probability + (1.0 - outlier_probability) * possible)

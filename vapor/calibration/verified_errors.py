@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -15,47 +15,43 @@ from vapor.calibration.error_correlation import (
     LEAST_PAIRS,
     ErrorCorrelation,
     Travel,
+    best_decay,
     effective_images,
-    fit_decay,
     pairs_of_images,
 )
 from vapor.calibration.image_errors import LEAST_IMAGES, cautious, most_likely_errors
 from vapor.calibration.places import Places
 from vapor.checkpoints.scene_scale import spaced
-from vapor.landmarks.build import BuiltMap
-from vapor.landmarks.features import Features
+from vapor.landmarks.build import Advance, BuiltMap, Material
 from vapor.landmarks.localize import LandmarkLocalizer, VerifiedPose
 from vapor.landmarks.tracks import view_change
 
 _FOLDS = 5
-_STRETCHES = 16.0, 8.0, 4.0, 2.0, 1.0  # change of the view over a hidden part: 1 is half a depth, or 25°
-_END = 0.25  # of a stretch, at either end: only images in between are localized
-_ENOUGH = 0.5  # of the images verified where they are: else less is hidden
-_IMAGES, _TRIED = 200, 40  # that are localized, and by which it is found how much can be hidden
+_STRETCHES = 16.0, 8.0, 4.0, 2.0, 1.0  # lengths of hidden stretches that are tried: 1 is half a depth, or 25°
+_END = 0.25  # fraction of a stretch at either end whose images are not localized
+_ENOUGH = 0.5  # least fraction of verified images: else shorter stretches are hidden
+_IMAGES, _TRIED = 200, 40  # localized images, and images by which the length of stretches is chosen
 _DEPTH_RAD = 2.0 * np.deg2rad(25.0)  # a turn that changes the view as much as a depth moved
-_LENGTHS, _USUAL_LENGTH = np.geomspace(0.05, 3.0, 13).tolist(), 0.4  # over which errors last, in depths
+_LENGTHS, _USUAL_LENGTH = np.geomspace(0.05, 3.0, 13), 0.4  # correlation lengths of errors, in depths
 _LEAST_CORRELATED, _MOST_CORRELATED = 0.5, 0.95  # of the variance
-_NONE_RIGHT = 0.05  # of the images, before held-out ones are seen
-_HELD = 0.9  # of the images at least have their true pose in the region of this name
+_NONE_RIGHT = 0.05  # outlier probability before held-out images are seen
+_HELD = 0.9  # the region of this probability holds at least this fraction of the true poses
 _RIGHT = 0.5, 0.35  # depths and radians, beyond which a pose is of another place
-
-Advance = Callable[[int, int], None]
-QueryFeatures = Callable[[int], Features]
 
 
 @dataclass(frozen=True)
 class LeaveOut:
-    """Training images, localized by a map without those near them in time.
+    """Training images, localized by a map without the images near them in time.
 
     Attributes:
-        image: Number of each, in order of time.
-        found: Verified poses of each.
+        travel: Motion between the images, which are in order of time.
+        found: Verified poses of each image.
         truth: True poses, (n,).
-        view_distance: Distance from the most similar view of the map, see `MappedViews.distances`.
+        view_distance: Distance of each from the most similar view of the map, see `MappedViews.distances`.
         depth_m: Median distance of the scene, metres.
     """
 
-    image: Int64[np.ndarray, " n"]
+    travel: Travel
     found: tuple[tuple[VerifiedPose, ...], ...]
     truth: Poses
     view_distance: Float64[np.ndarray, " n"]
@@ -80,7 +76,7 @@ class LeaveOut:
 
     @property
     def alike(self) -> Bool[np.ndarray, " n"]:
-        """Which images have a verified pose of another place, (n,)."""
+        """Mask of the images with a verified pose of another place, (n,)."""
         wrong = [not all(self._is_right(each, row) for each in found) for row, found in enumerate(self.found)]
         return np.array(wrong, bool)
 
@@ -105,86 +101,75 @@ class LeaveOut:
 
 def leave_out(
     built: BuiltMap,
-    features: QueryFeatures,
-    poses: Poses,
-    sequence: Int64[np.ndarray, " n"],
     *,
     most: int = _IMAGES,
     stretches: Sequence[float] = _STRETCHES,
     advance: Advance = lambda done, total: None,
 ) -> LeaveOut:
-    """Localize `most` training images, evenly spaced, without those near them in time.
+    """Localize `most` training images, evenly spaced, without the images near them in time.
 
-    Around an image is hidden as much as leaves landmarks of the right place for half of the images: in use, all were
-    seen at another time.
+    The longest stretches are hidden with which half of the images still verify the right place: in use, all landmarks
+    were seen at another time.
 
     Args:
-        built: The map of all of them.
-        features: Gives the features of a training image by its number, from `query_features`.
-        poses: True poses, world_from_camera, (n,).
-        sequence: Index of the sequence of each, (n,).
+        built: The map of all images.
         most: Number of localized images.
-        stretches: Lengths to hide, of which the longest that leaves enough is taken: 1 is half a depth, or 25°.
+        stretches: Lengths of hidden stretches, longest first: 1 is half a depth, or 25°.
         advance: Called with the number of images done, and of all.
     """
-    stretch = np.zeros(len(poses), np.int64)
-    middle = np.arange(len(poses))
+    stretch = middle = np.arange(len(built.material.truth))
     for length in stretches:
-        stretch, in_middle = _stretches(poses, sequence, built.material.depth_m, length)
+        stretch, in_middle = _stretches(built.material, length)
         middle = np.flatnonzero(in_middle)
         if length == stretches[-1]:
             break
         some = middle[spaced(len(middle), _TRIED)]
-        if _without(built, features, poses, stretch, some, lambda done, total: None).verified >= _ENOUGH:
+        if _without(built, stretch, some, lambda done, total: None).verified >= _ENOUGH:
             break
-    return _without(built, features, poses, stretch, middle[spaced(len(middle), most)], advance)
+    return _without(built, stretch, middle[spaced(len(middle), most)], advance)
 
 
 def _without(
-    built: BuiltMap,
-    features: QueryFeatures,
-    poses: Poses,
-    stretch: Int64[np.ndarray, " n"],
-    chosen: Int64[np.ndarray, " k"],
-    advance: Advance,
+    built: BuiltMap, stretch: Int64[np.ndarray, " n"], chosen: Int64[np.ndarray, " k"], advance: Advance
 ) -> LeaveOut:
-    found: dict[int, tuple[VerifiedPose, ...]] = {}
-    distance = np.zeros(len(poses))
+    material, found = built.material, dict[int, tuple[VerifiedPose, ...]]()
+    distance = np.zeros(len(material.truth))
     for fold in range(_FOLDS):
         own = chosen[stretch[chosen] % _FOLDS == fold]
-        hidden = stretch[built.material.key] % _FOLDS == fold
+        hidden = stretch[material.key] % _FOLDS == fold
         if not len(own) or hidden.all():
             continue
         localizer = LandmarkLocalizer(built.hiding(hidden))
-        distance[own] = localizer.mapped().distances(poses[own])
+        distance[own] = localizer.mapped().distances(material.truth[own])
         for image in own.tolist():
             advance(len(found), len(chosen))
-            found[image] = tuple(localizer.localize(localizer.described(features(image))))
+            found[image] = tuple(localizer.localize(localizer.described(material.query(image))))
     image = np.array(sorted(found), np.int64)
+    travel = Travel.along(material.truth, material.sequence)[image]
     of_images = tuple(found[i] for i in image.tolist())
-    return LeaveOut(image, of_images, poses[image], distance[image], built.material.depth_m)
+    return LeaveOut(travel, of_images, material.truth[image], distance[image], material.depth_m)
 
 
-def _stretches(
-    poses: Poses, sequence: Int64[np.ndarray, " n"], depth_m: float, length: float
-) -> tuple[Int64[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
-    """The stretch of each image, over which the view changes by `length`, and whether the image is in its middle."""
-    change = np.cumsum(view_change(poses, depth_m))
+def _stretches(material: Material, length: float) -> tuple[Int64[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
+    """Number of the stretch of each image, over which the view changes by `length`, and the mask of middle images."""
+    sequence = material.sequence
+    change = np.cumsum(view_change(material.truth, material.depth_m))
     begins = np.flatnonzero(np.diff(sequence, prepend=sequence[:1] - 1))
-    first = begins[np.searchsorted(begins, np.arange(len(poses)), side="right") - 1]
+    first = begins[np.searchsorted(begins, np.arange(len(sequence)), side="right") - 1]
     since = (change - change[first]) / length
     within = np.floor(since).astype(np.int64)
     _, number = np.unique(np.stack([first, within], axis=1), axis=0, return_inverse=True)
     part = since - within
     middle = (part >= _END) & (part <= 1.0 - _END)
-    return number.reshape(-1).astype(np.int64), middle if middle.any() else np.ones(len(poses), bool)
+    return number.reshape(-1).astype(np.int64), middle if middle.any() else np.ones(len(sequence), bool)
 
 
 @dataclass(frozen=True)
 class VerifiedErrors:
-    """Errors of verified poses in the camera's frame, of the images of the fit.
+    """Errors of verified poses in the camera's frame.
 
-    `elsewhere` is that of `LeaveOut`, medians are of poses of the right place, `coverage` that of three regions.
+    `elsewhere` is `LeaveOut.elsewhere`. Medians are of poses of the right place. `coverage` is of the 50, 90 and 95 %
+    regions.
     """
 
     errors: MeasurementNoise
@@ -196,16 +181,10 @@ class VerifiedErrors:
     coverage: tuple[float, float, float]
 
 
-def fit_verified_errors(
-    left_out: LeaveOut,
-    poses: Poses,
-    sequence: Int64[np.ndarray, " n"],
-    log_clutter_density: float,
-) -> VerifiedErrors | None:
+def fit_verified_errors(left_out: LeaveOut, log_clutter_density: float) -> VerifiedErrors | None:
     """Errors of the poses of the right place; None where there are too few.
 
-    `poses` and `sequence` are those of all images; `log_clutter_density` of poses spread evenly over the map, per m³
-    rad³.
+    `log_clutter_density` is of poses spread evenly over the map, per m³ rad³.
     """
     rows, depth_m = left_out.right, left_out.depth_m
     if len(rows) < LEAST_IMAGES:
@@ -218,7 +197,7 @@ def fit_verified_errors(
     found = most_likely_errors(places, depth_m, log_clutter_density, None)
     errors = replace(MeasurementNoise(log_clutter_density=log_clutter_density), **found.settings(depth_m))
     residuals, usable = places.residuals(errors)
-    travel = Travel.along(poses, sequence)[left_out.image[which]]
+    travel = left_out.travel[which]
     correlated = _error_correlation(residuals, usable, travel, depth_m)
     effective = effective_images(travel, correlated)
     errors = cautious(errors, effective)
@@ -246,9 +225,5 @@ def _error_correlation(
     apart = unit.between(travel, first, second)
     products = np.vecdot(residual[first], residual[second]) / max(float(np.square(residual).sum(axis=1).mean()), 1e-300)
     weights = 1.0 / (second - first)  # neighbours as much as all that are ten times as far from each other
-    best, found = np.inf, unit
-    for length in _LENGTHS:
-        cost, fraction = fit_decay(apart / length, products, weights, (_LEAST_CORRELATED, _MOST_CORRELATED))
-        if cost < best:
-            best, found = cost, ErrorCorrelation(fraction, length * depth_m, length * _DEPTH_RAD)
-    return found
+    length, fraction = best_decay(apart, products, weights, _LENGTHS, (_LEAST_CORRELATED, _MOST_CORRELATED))
+    return ErrorCorrelation(fraction, length * depth_m, length * _DEPTH_RAD)

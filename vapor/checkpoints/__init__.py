@@ -1,1 +1,1 @@
-"""Trained models: their files, how their images err until they are calibrated, and those that ship."""
+"""Trained models: their files, their errors before calibration, and the shipped models."""

@@ -14,7 +14,7 @@ import numpy as np
 from filtering.se3 import Poses
 from sequences.frame import Camera
 from vapor.checkpoints.calibration import Calibration
-from vapor.checkpoints.stored_tensors import landmark_arrays, landmarks_config, poses_of
+from vapor.checkpoints.stored_tensors import LandmarksConfig, landmark_arrays
 from vapor.landmarks.verify import Landmarks
 from vapor.regressors.network_config import NetworkConfig, make_regressor
 from vapor.regressors.ood_model import OodModel
@@ -92,7 +92,7 @@ class Checkpoint(_Model):
     def description(self) -> ModelDescription:
         """The model without its weights."""
         memory = self.memory
-        poses = None if memory is None else poses_of(memory.rotation.numpy(), memory.translation.numpy())
+        poses = None if memory is None else Poses(memory.rotation.double().numpy(), memory.translation.double().numpy())
         return ModelDescription(**_shared(self), network_sha256=self.network_sha256(), memory_poses=poses)
 
     def network_sha256(self) -> str:
@@ -109,7 +109,8 @@ class Checkpoint(_Model):
         if self.camera is not None:
             seen.update(json.dumps(asdict(self.camera)).encode())
         if self.landmarks is not None:
-            seen.update(json.dumps({**landmarks_config(self.landmarks), "verification": None}).encode())
+            settings = asdict(LandmarksConfig.of(self.landmarks))
+            seen.update(json.dumps({**settings, "verification": None}).encode())
             for name, value in landmark_arrays(self.landmarks).items():
                 seen.update(name.encode() + np.ascontiguousarray(value).data)
         return seen.hexdigest()

@@ -8,14 +8,15 @@ from typing import Any, TypeVar, cast, get_args, get_origin, get_type_hints
 
 from filtering.errors import VaporTrackError, quoted
 from sequences.files import parse_json
-from sequences.frame import Camera
 from sequences.odometry_fit.result import OdometryFit
 from vapor.tensor_files import CheckpointError
 
-_KINDS = {bool: ("true or false", {bool}), int: ("a whole number", {int}), float: ("a number", {int, float})}
-
-_COUNTS = {3: "three", 6: "six"}
-
+_KINDS = {
+    bool: ("true or false", {bool}),
+    int: ("a whole number", {int}),
+    float: ("a number", {int, float}),
+    dict: ("an object", {dict}),
+}
 Config = TypeVar("Config")
 
 
@@ -35,7 +36,7 @@ def parse_metadata(path: Path, text: str | None) -> dict[str, Any]:
 
 
 def parse_config(path: Path, name: str, kind: type[Config], values: Any) -> Config:
-    """A configuration dataclass from JSON, every field given and no other.
+    """A configuration dataclass from JSON, with every field and no other; fields may be dataclasses, or optional.
 
     Raises:
         CheckpointError: missing or surplus fields, or values that the dataclass refuses.
@@ -55,24 +56,13 @@ def parse_config(path: Path, name: str, kind: type[Config], values: Any) -> Conf
         raise CheckpointError(f"{path}: {name} configuration: {error}") from error
 
 
-def parse_camera(path: Path, values: Any) -> Camera | None:
-    """A camera from JSON; None where none was known.
-
-    Raises:
-        CheckpointError: missing, surplus or unusable values.
-    """
-    return None if values is None else parse_config(path, "camera", Camera, values)
-
-
 def _parsed(path: Path, name: str, field: str, hint: Any, value: Any) -> Any:
     """A field's value from JSON by its type."""
     if type(None) in get_args(hint):
         if value is None:
             return None
         (hint,) = (each for each in get_args(hint) if each is not type(None))
-    if hint is OdometryFit:
-        if not isinstance(value, dict):
-            raise CheckpointError(f"{path}: {name}.{field} is {quoted(value)}, expected an object or null")
+    if hint is OdometryFit and isinstance(value, dict):
         try:
             return OdometryFit.from_dict(value)
         except VaporTrackError as error:
@@ -80,11 +70,12 @@ def _parsed(path: Path, name: str, field: str, hint: Any, value: Any) -> Any:
     if is_dataclass(hint):
         return parse_config(path, f"{name}.{field}", cast(type, hint), value)
     if get_origin(hint) is tuple:
-        fits = isinstance(value, list) and len(value) == len(get_args(hint))
-        fits, wanted = fits and all(type(v) in (int, float) for v in value), f"{_COUNTS[len(get_args(hint))]} numbers"
+        size = len(get_args(hint))
+        if isinstance(value, list) and len(value) == size and all(type(each) in (int, float) for each in value):
+            return tuple(map(float, value))
+        wanted = f"{size} numbers"
     else:
-        wanted, kinds = _KINDS.get(hint, ("", None))
-        fits = kinds is None or type(value) in kinds
-    if not fits:
-        raise CheckpointError(f"{path}: {name} configuration has {field} {quoted(value)}, expected {wanted}")
-    return tuple(map(float, value)) if get_origin(hint) is tuple else value
+        wanted, kinds = _KINDS.get(get_origin(hint) or hint, ("", {type(value)}))
+        if type(value) in kinds:
+            return value
+    raise CheckpointError(f"{path}: {name} configuration has {field} {quoted(value)}, expected {wanted}")

@@ -13,8 +13,7 @@ from rich.table import Table
 from filtering.measurement_noise import Six
 from sequences.options import SequenceOptions
 from sequences.outputs import refuse_other
-from vapor.calibration.calibrate import CalibrationResult
-from vapor.calibration.calibrate_model import calibrate_model
+from vapor.calibration.calibrate import CalibrationResult, calibrate_model
 from vapor.calibration.places import REGIONS
 from vapor.checkpoints.file_format import find_model, is_model
 from vapor.commands.console import OutputPath, Overwrite, parse, show, show_notices, show_skipped, usage_error

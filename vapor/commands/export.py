@@ -33,6 +33,6 @@ def main(arguments: Sequence[str]) -> None:
         usage_error("export", f"output {o.output}, expected a name that ends in {ONNX}")
     file = find_model(o.model)
     refuse_other(o.output, "model that vapor-track exported", is_exported, reads=[file], overwrite=o.overwrite)
-    runtime, metres, radians = export_onnx(load_checkpoint(file), o.output)
+    metres, radians = export_onnx(load_checkpoint(file), o.output)
     size_mb = o.output.stat().st_size / 1e6
-    show(f"{o.output}: {size_mb:.1f} MB; by {runtime} within {metres:.1g} m and {radians:.1g} rad of torch")
+    show(f"{o.output}: {size_mb:.1f} MB; by onnxruntime within {metres:.1g} m and {radians:.1g} rad of torch")

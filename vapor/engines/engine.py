@@ -23,15 +23,15 @@ class EngineConfig:
     """What runs the network, and how precisely."""
 
     engine: EngineName = "auto"
-    """What runs the network. openvino is for processors, and compiles a network once, beside its file (extra
-    `openvino`); auto takes it there where it was faster when the network was compiled, torch otherwise."""
+    """What runs the network. openvino is for processors, and compiles a network once, into the user's cache
+    (extra `openvino`); auto takes it there where it was faster when the network was compiled, torch otherwise."""
     precision: Precision = "float32"
     """Arithmetic of the network: bfloat16 is faster on GPUs, and by openvino on processors that have it; it moves
     samples by centimetres."""
 
     @property
     def network(self) -> EngineConfig:
-        """These two settings alone, without those of a subclass."""
+        """These two settings alone, without the settings of a subclass."""
         return EngineConfig(self.engine, self.precision)
 
 
@@ -56,17 +56,17 @@ class Engine(Protocol):
 
     @property
     def name(self) -> EngineName:
-        """Which one it is."""
+        """Name of the engine."""
         ...
 
     @property
     def device(self) -> str:
-        """Where it runs: cpu or cuda."""
+        """Device of the engine: cpu or cuda."""
         ...
 
     @property
     def noise_dim(self) -> int:
-        """How many numbers of noise it takes for one posterior sample."""
+        """Number of normal numbers for one posterior sample."""
         ...
 
     def run(self, image: UInt8[np.ndarray, "h w 3"], noise: Float32[np.ndarray, "m d"]) -> Seen:

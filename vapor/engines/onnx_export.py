@@ -29,11 +29,11 @@ _OPSET = 17
 _CHECKED = 200  # posterior samples, other than the network was traced with
 
 
-def export_onnx(checkpoint: Checkpoint, output: Path) -> tuple[str, float, float]:
+def export_onnx(checkpoint: Checkpoint, output: Path) -> tuple[float, float]:
     """Write a model as an ONNX file, complete or not at all, once it gave the poses that torch gives.
 
     Returns:
-        The runtime that checked it, and the largest differences of positions in metres and of rotations in radians.
+        The largest differences of positions in metres and of rotations in radians, by onnxruntime.
 
     Raises:
         VaporTrackError: a package is missing, the network cannot be exported, its poses differ by more than `WITHIN_M`
@@ -41,24 +41,19 @@ def export_onnx(checkpoint: Checkpoint, output: Path) -> tuple[str, float, float
     """
     from vapor.engines.torch_engine import WholeNetwork
 
-    if find_spec("onnx") is None:
-        raise VaporTrackError("export: onnx is not installed, expected it: pip install 'vapor-track[export]'")
-    runtime = next((name for name in ("onnxruntime", "openvino") if find_spec(name) is not None), None)
-    if runtime is None:
-        raise VaporTrackError(
-            "export: nothing to check the file with, expected onnxruntime: pip install 'vapor-track[export]'"
-        )
+    if missing := [name for name in ("onnx", "onnxruntime") if find_spec(name) is None]:
+        raise VaporTrackError(f"export: {missing[0]} is not installed, expected it: pip install 'vapor-track[export]'")
     whole = WholeNetwork(checkpoint).eval()
     with atomic_output(output) as partial:
         _write(whole, partial)
         add_description(partial, checkpoint.description)
-        metres, radians = _difference(whole, partial, runtime)
+        metres, radians = _difference(whole, partial)
         if not (metres <= WITHIN_M and radians <= WITHIN_RAD):  # NaN compares as false
             raise VaporTrackError(
-                f"{output}: {runtime} gives poses up to {metres:.2g} m and {radians:.2g} rad from torch's, expected"
+                f"{output}: onnxruntime gives poses up to {metres:.2g} m and {radians:.2g} rad from torch's, expected"
                 f" {WITHIN_M:g} m and {WITHIN_RAD:g} rad at most: not written"
             )
-    return runtime, metres, radians
+    return metres, radians
 
 
 def _write(whole: WholeNetwork, path: Path) -> None:
@@ -88,8 +83,8 @@ def _write(whole: WholeNetwork, path: Path) -> None:
     path.write_bytes(graph.getbuffer())
 
 
-def _difference(whole: WholeNetwork, path: Path, runtime: str) -> tuple[float, float]:
-    """Largest differences between the poses of a runtime and of torch for one image and noise: metres and radians."""
+def _difference(whole: WholeNetwork, path: Path) -> tuple[float, float]:
+    """Largest differences between the poses of onnxruntime and of torch for one image and noise: metres and radians."""
     import torch
 
     from vapor.engines.torch_engine import traced_inputs
@@ -97,7 +92,7 @@ def _difference(whole: WholeNetwork, path: Path, runtime: str) -> tuple[float, f
     image, noise = traced_inputs(whole, samples=_CHECKED)
     with torch.inference_mode():
         translation, rotation, *_ = whole(image, noise)
-    found = _run(path, runtime, [image.numpy(), noise.numpy()])
+    found = _run(path, [image.numpy(), noise.numpy()])
     ours, theirs = (
         Poses(matrices.astype(np.float64), positions.astype(np.float64))
         for positions, matrices in ((translation.numpy(), rotation.numpy()), (found[0], found[1]))
@@ -106,13 +101,8 @@ def _difference(whole: WholeNetwork, path: Path, runtime: str) -> tuple[float, f
     return float(metres.max()), float(radians.max())
 
 
-def _run(path: Path, runtime: str, inputs: Sequence[np.ndarray]) -> list[np.ndarray]:
-    if runtime == "onnxruntime":
-        import onnxruntime
+def _run(path: Path, inputs: Sequence[np.ndarray]) -> list[np.ndarray]:
+    import onnxruntime
 
-        session = onnxruntime.InferenceSession(path.read_bytes(), providers=["CPUExecutionProvider"])
-        return [np.asarray(each) for each in session.run(None, dict(zip(INPUTS, inputs, strict=True)))]
-    from vapor.engines.openvino_engine import compile_network
-
-    found = compile_network(path, "float32", 1)(list(inputs))
-    return [found[number] for number in range(len(found))]
+    session = onnxruntime.InferenceSession(path.read_bytes(), providers=["CPUExecutionProvider"])
+    return [np.asarray(each) for each in session.run(None, dict(zip(INPUTS, inputs, strict=True)))]

@@ -1,7 +1,7 @@
 """Models as ONNX files: the network as a graph, all else as metadata; read without the package onnx, and without torch.
 
 An ONNX file is a protocol buffer of numbered fields (github.com/onnx/onnx, onnx/onnx.proto). The fields that
-describe the model are few and come apart from the graph, which is skipped.
+describe the model are few and separate from the graph, which is skipped.
 """
 
 from __future__ import annotations
@@ -17,14 +17,13 @@ from vapor.checkpoints.file_format import (
     description_metadata,
     parse_description,
     parse_stored_config,
-    shapes_beside_weights,
 )
-from vapor.checkpoints.stored_tensors import MEMORY_ROTATION, MEMORY_TRANSLATION, check_tensors
-from vapor.tensor_files import CheckpointError, arrays_as_bytes, parse_stored
+from vapor.checkpoints.stored_tensors import MEMORY
+from vapor.tensor_files import CheckpointError, as_bytes, parse_stored
 
 CONFIG, ARRAYS, GRAPH = "vapor-track config", "vapor-track arrays", "vapor-track graph_sha256"
 """Names of the metadata: settings as JSON, for all to read; all of the description, as a safetensors file in base64;
-SHA-256 of all that comes before the metadata, which is the graph and the version of its operators."""
+SHA-256 of the content before the metadata, the graph and the version of its operators."""
 _METADATA_PROPS, _KEY, _VALUE = 14, 1, 2  # numbers of fields
 _BYTES_BY_WIRE = {1: 8, 5: 4}  # lengths of fields of fixed length, by their type
 _MOST_BYTES = 2**31  # of a protocol buffer
@@ -36,9 +35,9 @@ def add_description(path: Path, model: ModelDescription) -> None:
     """Append the description of a model to an ONNX file, and the graph's digest."""
     metadata, arrays = description_metadata(model), description_arrays(model)
     if (poses := model.memory_poses) is not None:
-        arrays |= {MEMORY_ROTATION: poses.rotation, MEMORY_TRANSLATION: poses.translation}
+        arrays |= {f"{MEMORY}rotation": poses.rotation, f"{MEMORY}translation": poses.translation}
     content = path.read_bytes()
-    encoded = base64.b64encode(arrays_as_bytes(arrays, metadata)).decode()
+    encoded = base64.b64encode(as_bytes(arrays, metadata)).decode()
     entries = {CONFIG: metadata["config"], ARRAYS: encoded, GRAPH: hashlib.sha256(content).hexdigest()}
     path.write_bytes(content + b"".join(_entry(name, text) for name, text in entries.items()))
 
@@ -63,7 +62,6 @@ def describe_onnx(path: Path) -> ModelDescription:
             f"{path}: damaged: {CONFIG!r} in its metadata differs from {ARRAYS!r}, expected the file as written"
         )
     config = parse_stored_config(path, stored)
-    check_tensors(path, tensors, shapes_beside_weights(config, tensors))
     return parse_description(path, config, tensors, hashlib.sha256(content).hexdigest())
 
 
@@ -107,7 +105,7 @@ def _parts(content: bytes) -> tuple[memoryview, dict[str, str]]:
 
 
 def _fields(content: memoryview) -> Iterator[tuple[int, memoryview, int]]:
-    """Numbers and contents of a message's fields, and where they end; those that are numbers have no content.
+    """Numbers and contents of a message's fields, and where they end; fields that are numbers have no content.
 
     Raises:
         ValueError: no message, or one of very many fields.

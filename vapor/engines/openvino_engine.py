@@ -1,4 +1,4 @@
-"""Networks run by OpenVINO, on processors: converted, compiled, and kept beside the model or in the user's cache."""
+"""Networks run by OpenVINO, on processors: converted, compiled, and kept in the user's cache."""
 
 from __future__ import annotations
 
@@ -8,11 +8,10 @@ import importlib.metadata
 import io
 import json
 import os
-import re
 import sys
 import warnings
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
@@ -22,10 +21,9 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 from filtering.errors import VaporTrackError
-from sequences.atomic import CACHE
 from vapor.checkpoints.checkpoint import Checkpoint, ModelDescription
 from vapor.engines.engine import EngineName, Precision, Seen
-from vapor.tensor_files import CheckpointError, read_stored, write_arrays
+from vapor.tensor_files import CheckpointError, read_stored, write_safetensors
 
 if TYPE_CHECKING:
     import openvino
@@ -36,10 +34,7 @@ _CPU_FLAGS = Path("/proc/cpuinfo")
 _FLAG_LINES = "flags", "Features"  # of x86 and Arm
 _BFLOAT16_FLAGS = {"avx512_bf16", "amx_bf16", "bf16"}  # of Intel and AMD, Intel, and Arm
 
-_NOISE = re.compile(r"noise f32 \[\?,[1-9]\d{0,4}]")  # columns: no regressor takes more, which would fill the memory
-_POSES = "translation f32 [?,3], rotation f32 [?,3,3]"
 _FORMAT = "vapor-track compiled network"
-_VERSION = "1"
 _BLOB = "blob"
 
 
@@ -87,10 +82,13 @@ def version() -> str:
     return imported().__version__
 
 
-def require_installed(feature: str) -> None:
-    """Raise a VaporTrackError that names the feature where OpenVINO is not installed."""
+def require_installed() -> None:
+    """Raise a VaporTrackError where OpenVINO is not installed."""
     if not is_installed():
-        raise VaporTrackError(f"{feature}: OpenVINO is not installed, expected it: pip install 'vapor-track[openvino]'")
+        raise VaporTrackError(
+            "OpenVINO is not installed, expected it for engine openvino, for exported models and for bfloat16 on a"
+            " processor: pip install 'vapor-track[openvino]'"
+        )
 
 
 def require_bfloat16() -> None:
@@ -123,37 +121,12 @@ def converted_network(checkpoint: Checkpoint) -> openvino.Model:
         return openvino.convert_model(traced, example_input=inputs, input=shapes)
 
 
-def compile_exported(model: ModelDescription, precision: Precision, threads: int) -> openvino.CompiledModel:
-    """The network of an exported model compiled for this processor.
-
-    Raises:
-        CheckpointError: its file has none that can be compiled, or one of other inputs and outputs than it should have.
-    """
-    assert model.file is not None
-    try:
-        compiled = compile_network(model.file, precision, threads)
-        found = ", ".join(
-            f"{port.get_any_name()} {port.element_type.to_string()} {port.partial_shape}"
-            for port in (*compiled.inputs, *compiled.outputs)
-        )
-    except RuntimeError as error:
-        raise CheckpointError(
-            f"{model.file}: OpenVINO cannot compile its network ({last_line(error)}), expected the file as written"
-        ) from error
-    size, known = model.network, model.ood_model
-    expected = f"image u8 [{size.image_height},{size.image_width},3], noise f32 [?,d], {_POSES}"
-    expected += f", description f32 [{len(known.centre)}]" if known is not None else ""
-    if _NOISE.sub("noise f32 [?,d]", found) != expected:
-        raise CheckpointError(f"{model.file}: its network has {found or 'no inputs'}; expected {expected}")
-    return compiled
-
-
-def last_line(error: RuntimeError) -> str:
+def last_line(error: Exception) -> str:
     """The last of the many lines of an error of OpenVINO, its most informative one."""
     return (str(error).strip().splitlines() or [type(error).__name__])[-1]
 
 
-def compile_network(model: openvino.Model | Path, precision: Precision, threads: int) -> openvino.CompiledModel:
+def compile_network(model: openvino.Model | Path | None, precision: Precision, threads: int) -> openvino.CompiledModel:
     """A network compiled for this processor, from OpenVINO's own form or from an ONNX file.
 
     Raises:
@@ -186,28 +159,11 @@ def processor() -> str:
 
 
 @dataclass(frozen=True)
-class Variant:
-    """Everything that a compiled network depends on: `network` is a digest, `described` whether it describes images."""
-
-    network: str
-    described: bool
-    precision: str
-    processor: str
-    openvino: str
-    package: str = importlib.metadata.version("vapor-track")
-
-    @property
-    def name(self) -> str:
-        """Suffix of its file after the model's name: first a part that all valid variants of a model share."""
-        return f"{_digest(self.network, self.openvino, self.package)}-{_digest(*map(str, asdict(self).values()))}"
-
-
-@dataclass(frozen=True)
 class Compiled:
     """A compiled network.
 
     Attributes:
-        blob: OpenVINO's form of it.
+        blob: OpenVINO's form of the network.
         faster: Whether it was faster than torch when it was compiled; None where torch was not timed.
     """
 
@@ -215,70 +171,49 @@ class Compiled:
     faster: bool | None
 
 
-def read_compiled(model: Path, variant: Variant) -> Compiled | None:
-    """The compiled network of a model file; None where there is none that can be used."""
-    for folder in _folders(model):
-        file = folder / f"{model.name}-{variant.name}"
+def cache_folder() -> Path:
+    """Folder of compiled networks, in the user's cache."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "vapor-track" / "compiled"
+
+
+def can_be_kept() -> bool:
+    """Whether compiled networks can be kept; the folder is created."""
+    folder = cache_folder()
+    with suppress(OSError):
+        folder.mkdir(parents=True, exist_ok=True)
+    return os.access(folder, os.W_OK)
+
+
+class KeptNetwork:
+    """The file of a model's compiled network: one for each precision and processor, replaced when the model changes."""
+
+    def __init__(self, model: ModelDescription, precision: Precision) -> None:
+        assert model.file is not None
+        place = hashlib.sha256(os.fsencode(model.file.resolve()) + f"\n{precision}\n{processor()}".encode())
+        self.file = cache_folder() / f"{place.hexdigest()[:16]}.safetensors"
+        self._made_of = {
+            "network": model.network_sha256,
+            "described": model.ood_model is not None,
+            "openvino": version(),
+            "package": importlib.metadata.version("vapor-track"),
+        }
+
+    def read(self) -> Compiled | None:
+        """The compiled network, if a usable one is kept."""
         with suppress(CheckpointError, ValueError, KeyError, TypeError):
-            metadata, tensors = read_stored(file)
+            metadata, tensors = read_stored(self.file)
             config = json.loads(metadata["config"])
-            if (metadata["format"], metadata["version"], config["variant"]) == (_FORMAT, _VERSION, asdict(variant)):
+            if config["made_of"] == self._made_of:
                 return Compiled(bytes(tensors[_BLOB].data), config["faster"])
-    return None
+        return None
 
-
-def write_compiled(model: Path, variant: Variant, compiled: Compiled) -> bool:
-    """Keep a compiled network in place of invalid ones of the same model; returns whether that was possible.
-
-    The file appears when it is complete; of two processes the last one's stays.
-    """
-    config = {"variant": asdict(variant), "faster": compiled.faster}
-    metadata = {"format": _FORMAT, "version": _VERSION, "config": json.dumps(config)}
-    for folder in _folders(model):
+    def write(self, compiled: Compiled) -> bool:
+        """Keep a compiled network; returns whether that was possible."""
+        config = {"made_of": self._made_of, "faster": compiled.faster}
+        metadata = {"format": _FORMAT, "config": json.dumps(config)}
         try:
-            folder.mkdir(parents=folder != _beside(model), exist_ok=True)
-            ignore = folder / ".gitignore"
-            if not ignore.exists():
-                ignore.write_text("*\n", encoding="utf-8")
-            file = folder / f"{model.name}-{variant.name}"
-            write_arrays(file, {_BLOB: np.frombuffer(compiled.blob, np.uint8)}, metadata)
+            self.file.parent.mkdir(parents=True, exist_ok=True)
+            write_safetensors(self.file, {_BLOB: np.frombuffer(compiled.blob, np.uint8)}, metadata)
         except (OSError, VaporTrackError):
-            continue
-        _remove_invalid(file)
+            return False
         return True
-    return False
-
-
-def can_be_kept(model: Path) -> bool:
-    """Whether compiled networks of a model file can be kept anywhere, as far as that is known in advance."""
-    return any(os.access(_nearest(folder), os.W_OK) for folder in _folders(model))
-
-
-def _folders(model: Path) -> tuple[Path, Path]:
-    """Where compiled networks of a model may be: beside it, and in the user's cache by where the model is."""
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    return _beside(model), cache / "vapor-track" / _digest(str(model.parent.resolve()))
-
-
-def _beside(model: Path) -> Path:
-    return model.parent / CACHE
-
-
-def _nearest(folder: Path) -> Path:
-    """The folder, or the first of those above it that exists."""
-    return folder if folder.exists() else _nearest(folder.parent)
-
-
-def _remove_invalid(file: Path) -> None:
-    """Remove compiled networks of the same model file that are of another network or version."""
-    valid, _, _ = file.name.rpartition("-")
-    model, _, _ = valid.rpartition("-")
-    for other in file.parent.glob("*"):
-        named, _, _ = other.name.rpartition("-")
-        if named != valid and named.rpartition("-")[0] == model:
-            with suppress(OSError):
-                other.unlink()
-
-
-def _digest(*texts: str) -> str:
-    return hashlib.sha256("\n".join(texts).encode()).hexdigest()[:12]

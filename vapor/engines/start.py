@@ -1,4 +1,4 @@
-"""Which engine runs a network: as asked for, or the faster one of those that are there; and that one, started."""
+"""The choice of the engine that runs a network, as asked for or the faster installed one; and its start."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from vapor.checkpoints.file_format import is_onnx, load_checkpoint, load_descrip
 from vapor.engines import openvino_engine
 from vapor.engines.engine import Device, Engine, EngineConfig, Precision
 from vapor.engines.onnx_file import describe_onnx
-from vapor.engines.openvino_engine import Compiled, Variant, can_be_kept, read_compiled, write_compiled
+from vapor.engines.openvino_engine import Compiled, KeptNetwork, can_be_kept
 from vapor.threads import limited_threads
 
 _SAMPLES = 1000  # with which engines are timed
@@ -40,7 +40,7 @@ def start_engine(
 
     "auto" takes OpenVINO on a processor where it is installed and was faster than torch when the network was compiled.
     That finding is kept with the compiled network, so that a model runs the same way every time; where nothing can be
-    kept, torch is taken. `threads` are those of OpenVINO; torch's are set by `limited_threads`.
+    kept, torch is taken. `threads` is for OpenVINO; torch's threads are set by `limited_threads`.
 
     Raises:
         VaporTrackError: an engine that is not installed, or does not go with the device, the precision or the model.
@@ -48,39 +48,30 @@ def start_engine(
     file = model.file
     exported = file is not None and is_onnx(file)
     asked = _asked(config, device, file if exported else None)
-    if asked == "torch" or (asked == "auto" and not (file and can_be_kept(file) and openvino_engine.is_installed())):
+    if asked == "torch" or (asked == "auto" and not (file and can_be_kept() and openvino_engine.is_installed())):
         return _torch(model, config.precision, device)
-    openvino_engine.require_installed(_what(config, file if exported else None))
+    openvino_engine.require_installed()
     if config.precision == "bfloat16":
         openvino_engine.require_bfloat16()
     return _openvino(model, config, exported=exported, threads=threads, must=asked == "openvino")
 
 
-def _what(config: EngineConfig, exported: Path | None) -> str:
-    """The setting that requires OpenVINO, in words."""
-    if exported is not None:
-        return str(exported)
-    return "engine openvino" if config.engine == "openvino" else f"precision {config.precision} on a processor"
-
-
 def _asked(config: EngineConfig, device: Device, exported: Path | None) -> str:
     """torch, openvino, or auto where both will do."""
-    if exported is not None and (config.engine == "torch" or device == "cuda"):
-        asked = "engine torch" if config.engine == "torch" else "device cuda"
-        raise VaporTrackError(f"{exported}: {asked} with an exported model, expected engine openvino on a processor")
-    if config.engine == "openvino" and device == "cuda":
-        raise VaporTrackError("engine openvino with device cuda: it runs on processors, expected engine torch")
-    if exported is not None:
+    if exported is not None or config.engine == "openvino":
+        if config.engine == "torch" or device == "cuda":
+            raise VaporTrackError(
+                f"{exported or 'engine openvino'} with engine {config.engine} and device {device}, expected engine"
+                " openvino on a processor"
+            )
         return "openvino"
-    if config.engine != "auto":
-        return config.engine
-    if device == "cuda" or (device == "auto" and _has_cuda()):
+    if config.engine == "torch" or device == "cuda" or (device == "auto" and _has_cuda()):
         return "torch"
     return "openvino" if config.precision == "bfloat16" else "auto"
 
 
 def _has_cuda() -> bool:
-    """Whether torch finds a GPU; it is not loaded to look for one where the system has none."""
+    """Whether torch finds a GPU; torch is not loaded where the system has none."""
     if not any(any(Path("/dev").glob(name)) for name in ("nvidia*", "dxg")):
         return False
     import torch
@@ -106,16 +97,9 @@ def _openvino(
     model: Checkpoint | ModelDescription, config: EngineConfig, *, exported: bool, threads: int, must: bool
 ) -> Engine:
     """OpenVINO's engine as kept, or compiled and kept; torch's where that was faster and is allowed."""
-    described = model if isinstance(model, ModelDescription) else model.description
-    variant = Variant(
-        described.network_sha256,
-        described.ood_model is not None,
-        config.precision,
-        openvino_engine.processor(),
-        openvino_engine.version(),
-    )
-    file, precision = described.file, config.precision
-    kept = None if file is None else read_compiled(file, variant)
+    described, precision = model if isinstance(model, ModelDescription) else model.description, config.precision
+    place = None if described.file is None else KeptNetwork(described, precision)
+    kept = None if place is None else place.read()
     if kept is not None and not must and not kept.faster:
         return _torch(model, precision, "cpu")
     if kept is not None:
@@ -123,25 +107,23 @@ def _openvino(
             return openvino_engine.OpenVINOEngine(openvino_engine.compiled_network(kept.blob, precision, threads))
         except RuntimeError:  # OpenVINO raises it for a network of another build: it is compiled again
             pass
-    if exported:
-        compiled, torch = openvino_engine.compile_exported(described, precision, threads), None
-    else:
+    network, torch = described.file, None
+    if not exported:
         checkpoint = _with_weights(model)
         network = openvino_engine.converted_network(checkpoint)
         torch = _torch(checkpoint, "float32", "cpu")
-        try:
-            compiled = openvino_engine.compile_network(network, precision, threads)
-        except RuntimeError as error:  # as on a processor without arithmetic of the precision
-            if not must:
-                return torch
-            reason = openvino_engine.last_line(error)
-            raise VaporTrackError(
-                f"engine openvino: this processor cannot run the network in {precision} ({reason}), expected"
-                " --engine torch, or another --precision"
-            ) from error
-    engine = openvino_engine.OpenVINOEngine(compiled)
+    try:
+        compiled = openvino_engine.compile_network(network, precision, threads)
+        engine = openvino_engine.OpenVINOEngine(compiled)
+    except (RuntimeError, IndexError) as error:  # as on a processor without arithmetic of the precision
+        if torch is not None and not must:
+            return torch
+        raise VaporTrackError(
+            f"{described.file or 'engine openvino'}: OpenVINO cannot compile the network in {precision}"
+            f" ({openvino_engine.last_line(error)}), expected --engine torch, or the exported file as it was written"
+        ) from error
     faster = None if torch is None else _is_faster(engine, torch, described, threads)
-    is_kept = file is not None and write_compiled(file, variant, Compiled(compiled.export_model().getvalue(), faster))
+    is_kept = place is not None and place.write(Compiled(compiled.export_model().getvalue(), faster))
     if torch is not None and not must and not (faster and is_kept):
         return torch
     return engine

@@ -102,7 +102,7 @@ class WholeNetwork(nn.Module):
     def forward(
         self, image: UInt8[Tensor, "h w 3"], noise: Float32[Tensor, "m d"]
     ) -> tuple[Float32[Tensor, "m 3"], Float32[Tensor, "m 3 3"]] | tuple[Tensor, Tensor, Float32[Tensor, " n"]]:
-        """Posterior samples for given noise; networks that draw nothing take as many as there are rows of it."""
+        """Posterior samples for given noise; networks without noise give one sample for each row."""
         images = image[None]
         translation, rotation = self.network(self.network.normalise(images), noise[None])
         if self._describer is None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,8 +14,6 @@ from filtering.se3 import Poses
 from sequences.frame import Camera, Frame
 from vapor.calibration.camera_fit import CameraFit, fit_camera
 from vapor.landmarks.build import gather
-from vapor.landmarks.landmark_map import ViewCamera
-from vapor.landmarks.localize import query_features
 from vapor.landmarks.verify import grey_view
 from vapor.training_data.ground import near_scale_m
 from vapor.training_data.load import shrunk, usual_camera
@@ -72,15 +69,17 @@ class CameraViews:
 
 def _fit(views: Sequence[_View], advance: Callable[[int, int], None]) -> CameraFit | None:
     """The camera that fits images of one camera; None where they show too little from two sides."""
-    poses, start = Poses.stack([view.pose for view in views]), ViewCamera(shrunk(views[0].camera))
+    poses = Poses.stack([view.pose for view in views])
     material = gather(
-        lambda image: views[image].grey, poses, start.camera, scale_m=near_scale_m(poses), advance=advance
+        lambda image: views[image].grey,
+        poses,
+        shrunk(views[0].camera),
+        sequence=np.cumsum(np.diff([view.number for view in views], prepend=-1) > 1),
+        stated=views[0].is_stated,
+        scale_m=near_scale_m(poses),
+        advance=advance,
     )
-    if material is None:
-        return None
-    features = cache(lambda image: query_features(views[image].grey))
-    run = np.cumsum(np.diff([view.number for view in views], prepend=-1) > 1)
-    fit = fit_camera(material, start, features, poses, run, known=views[0].is_stated)
+    fit = None if material is None else fit_camera(material)
     return None if fit is None or (fit.by_stated is None and fit.by_found is None) else fit
 
 

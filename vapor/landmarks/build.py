@@ -17,6 +17,7 @@ from sequences.frame import Camera
 from vapor.landmarks.adjustment import Adjusted, adjusted
 from vapor.landmarks.features import Basis, Features, extract, mutual_matches, stored, unit_vectors
 from vapor.landmarks.landmark_map import LandmarkMap, ViewCamera, summed_up
+from vapor.landmarks.localize import query_features
 from vapor.landmarks.points import Sightings, parallax, seen, triangulated
 from vapor.landmarks.tracks import (
     RATIO,
@@ -31,7 +32,7 @@ from vapor.landmarks.tracks import (
 VIEW_PX = 320
 """Longer edge of the images that features are found in."""
 _FEATURES, _LEAST_FEATURES, _MOST_FEATURES = 800, 250, 1_200_000  # of a key image, and of all
-_NEW_VIEW, _NEW_VIEW_RAD = 0.06, np.deg2rad(4.0)  # in depths: so much apart are two key images
+_NEW_VIEW, _NEW_VIEW_RAD = 0.06, np.deg2rad(4.0)  # least distance of key images, in depths and radians
 _MOST_KEYS = 6000
 _WORDS, _SUMMARY = 32, 64
 _SAMPLED, _OF_IMAGES = 20_000, 200  # descriptors, and their images, from which components and words are found
@@ -40,7 +41,7 @@ _AGREES_PX, _LEAST_AGREEING = 1.5, 0.2  # matches whose rays meet: of images of 
 _MOST_PX = 4.0  # that rays of a match may miss each other by
 _OUTLIERS_PX = (8.0, 6.0, 4.0, 3.0, 2.5)  # sightings that are further off are left out, from round to round
 _LEAST_PARALLAX = np.deg2rad(1.5)
-_LEAST_POINTS = 50  # below which there is no map
+_LEAST_POINTS = 50  # of a map
 _LEAST_DEPTH = 0.02  # in median depths
 _MOST_BYTES, _MOST_BYTES_OF_ALL = 18_000, 27_000_000  # of the map, a key image and all
 _BYTES_OF_POINT, _BYTES_OF_SIGHTING = 76, 4
@@ -55,18 +56,26 @@ View = Callable[[int], UInt8[np.ndarray, "h w"]]
 
 @dataclass(frozen=True)
 class Material:
-    """The key images among n training images, and their features.
+    """n training images, and the features of the key images among them.
 
     Attributes:
+        truth: world_from_camera of all images, (n,), in order of time.
+        sequence: Index of the sequence of each image, (n,).
+        query: Gives the features of an image that is to be localized, by its number.
+        camera: Camera of the images, at their size, stated or guessed.
         stated: Stated camera of the images, at their size; None without one.
         key: Numbers of the key images, in order.
         poses: world_from_camera of the key images, (k,).
-        features: Of each, in the basis.
+        features: Features of each key image, in the basis.
         basis: Basis of the descriptors.
-        matches: Matching features of pairs of key images, by their place in `key`.
+        matches: Matching features of pairs of key images, by their index in `key`.
         depth_m: Median distance of the scene, metres.
     """
 
+    truth: Poses
+    sequence: Int64[np.ndarray, " n"]
+    query: Callable[[int], Features]
+    camera: Camera
     stated: Camera | None
     key: Int64[np.ndarray, " k"]
     poses: Poses
@@ -94,7 +103,7 @@ class BuiltMap:
     def hiding(self, hidden: Bool[np.ndarray, " k"]) -> LandmarkMap:
         """The map without the hidden key images: their sightings are dropped, and the points triangulated again.
 
-        Matches, basis and camera are those of all images.
+        Matches, basis and camera are of all images.
         """
         touched = np.zeros(len(self.points), bool)
         touched[self.sightings.point[hidden[self.sightings.view]]] = True
@@ -161,6 +170,7 @@ def gather(
     poses: Poses,
     camera: Camera,
     *,
+    sequence: Int64[np.ndarray, " n"] | None = None,
     stated: bool = True,
     scale_m: float,
     given: Given = lambda image: None,
@@ -170,11 +180,12 @@ def gather(
 
     Args:
         view: Gives a grey training image by its number, in order of time.
-        poses: world_from_camera of n of them.
-        camera: Their camera, at their size.
-        stated: Whether that is stated, or a guess.
+        poses: world_from_camera of the n training images.
+        camera: Camera of the images, at their size.
+        sequence: Index of the sequence of each image, (n,); None for one sequence.
+        stated: Whether the camera is stated, or a guess.
         scale_m: Initial distance that changes a view as much as a radian.
-        given: Gives the points of a reconstruction in a training image, by its number; None without any.
+        given: Gives the points of a reconstruction in a training image, by its number, if any.
         advance: Called with the number of key images done, and of all.
     """
     count = _FEATURES
@@ -207,7 +218,19 @@ def gather(
     at = ViewCamera(camera)
     placed = [at_given_points(each, given(image), at) for each, image in zip(reduced, key.tolist(), strict=True)]
     matches = with_given_points(matches, [points for _, points in placed])
-    return Material(camera if stated else None, key, own, tuple(each for each, _ in placed), basis, matches, depth_m)
+    return Material(
+        poses,
+        np.zeros(len(poses), np.int64) if sequence is None else sequence,
+        cache(lambda image: query_features(view(image))),
+        camera,
+        camera if stated else None,
+        key,
+        own,
+        tuple(each for each, _ in placed),
+        basis,
+        matches,
+        depth_m,
+    )
 
 
 def build(material: Material, camera: ViewCamera) -> BuiltMap | None:

@@ -75,7 +75,7 @@ class LandmarkMap:
         descriptors: In a byte a number (`features.stored`), (p, d).
         rotation: Of world_from_camera of the key images, (n, 3, 3).
         translation: Of world_from_camera of the key images, metres, (n, 3).
-        begins: Where the points of each key image begin in `shown`, and where those of the last one end, (n + 1,).
+        begins: Where the points of each key image begin in `shown`, and where the last one's end, (n + 1,).
         shown: The points that key images show, image by image, (s,).
         mean: See `Basis`, (128,).
         axes: See `Basis`, (128, d).

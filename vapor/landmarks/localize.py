@@ -22,10 +22,10 @@ from vapor.landmarks.landmark_map import LEAST_INLIERS, LandmarkMap
 from vapor.landmarks.points import by_pose, seen
 
 INLIER_PX = 3.0
-"""Matches whose point is seen within so many pixels agree with a pose."""
+"""Greatest distance, pixels, between a feature and the projection of its point that agree."""
 ROBUST_PX = 1.0
 """Scale of the robust (Cauchy) cost of refinements, pixels."""
-_LEAST_SUPPORT = 8  # matches that must agree with a pose
+_LEAST_SUPPORT = 8  # least number of matches that agree with a pose
 _TRIES = {"max_reproj_error": INLIER_PX, "max_iterations": 1000, "min_iterations": 50, "seed": 0}
 _LOSS = {"loss_type": "CAUCHY", "loss_scale": ROBUST_PX}
 _RATIO = 0.9  # of the distances of a feature's nearest and second nearest descriptor of the map, in a match
@@ -35,8 +35,8 @@ _ALIKE = 16  # key images that look most like an image
 _NEAR = 6  # key images nearest to a pose that is proposed
 _SHARED = 8  # points that key images of one place share
 _KNOWN = 0.2  # fraction of a key image's points near a verified pose, above which it is skipped
-_MOST_PLACES = 8  # that are looked at
-_MOST_POINTS = 1000  # of a place, that are matched
+_MOST_PLACES = 8  # searched places
+_MOST_POINTS = 1000  # matched points of a place
 _LEAST_MATCHES = 8
 _GUIDED_PX = 5.0
 _GUIDED_FROM = 20  # key images near a pose, whose points are looked for
@@ -100,18 +100,18 @@ class LandmarkLocalizer:
         return self.described(query_features(view), distorted=distorted)
 
     def described(self, found: Features, *, distorted: bool = True) -> Features:
-        """The same of features from `query_features`."""
+        """Features from `query_features` in the basis of the map, at undistorted pixels."""
         reduced = self.landmarks.basis.reduced(found)
         if not distorted:
             return reduced
         return Features(self.landmarks.camera.undistorted(reduced.pixels), reduced.descriptors)
 
     def localize(self, features: Features, proposed: Poses | None = None) -> list[VerifiedPose]:
-        """Verified poses, that of most landmarks first.
+        """Verified poses, by decreasing number of landmarks.
 
         Args:
             features: From `features`.
-            proposed: Poses to look near, beside the key images of similar summary, (k,), the likeliest first.
+            proposed: Poses near which the map is searched, beside similar key images, (k,), the likeliest first.
         """
         found: list[VerifiedPose] = []
         if len(features) < LEAST_INLIERS:
@@ -182,7 +182,7 @@ class LandmarkLocalizer:
         return distance
 
     def mapped(self, reach: float = 1.0, elsewhere: float = 0.0) -> MappedViews:
-        """The views that it looks in, see `MappedViews`."""
+        """The views that are searched, see `MappedViews`."""
         return self.landmarks.mapped(reach, elsewhere, self._ignored)
 
     def _near(self, pose: Poses, most: int) -> Int64[np.ndarray, " k"]:

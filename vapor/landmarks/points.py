@@ -14,7 +14,7 @@ _ROUNDS = 4
 
 @dataclass(frozen=True)
 class Sightings:
-    """m sightings of points by views; each point has one at least. Features are those of all views."""
+    """m sightings of points by views, at least one for each point. Features are numbered over all views."""
 
     view: Int64[np.ndarray, " m"]
     point: Int64[np.ndarray, " m"]

@@ -22,11 +22,11 @@ Matches = dict[tuple[int, int], tuple[np.ndarray, np.ndarray]]
 
 RATIO = 0.85
 """Of the distances of nearest and second nearest feature, in a match of two views."""
-_PARTNERS = 14  # views that each is matched with
+_PARTNERS = 14  # matched views of each view
 _AS_FAR, _TURNED = 0.5, np.deg2rad(25.0)  # in depths: views that differ by as much show as much of the same
 _LEAST_BASELINE = 0.03  # in depths
 _MOST_TURNED = np.deg2rad(50.0)
-_TRIED = 12  # views, from which depths are measured
+_TRIED = 12  # views from which depths are measured
 _RANKS = 1, 2, 4, 8, 16, 32  # of their neighbours
 _LEAST_PARALLAX = np.deg2rad(2.0)
 _FARTHEST = 20.0  # depths: nothing that is further away is a landmark
@@ -44,7 +44,7 @@ def view_change(poses: Poses, depth_m: float) -> Float64[np.ndarray, " n"]:
 
 
 def neighbours(poses: Poses, depth_m: float, *, most: int = _PARTNERS) -> Iterator[tuple[int, Int64[np.ndarray, " k"]]]:
-    """Each view with the others, at most `most`, that show most of the same from elsewhere."""
+    """Each view with at most `most` other views that show most of the same from elsewhere."""
     for begin in range(0, len(poses), _CHUNK):
         own = np.arange(begin, min(begin + _CHUNK, len(poses)))
         pairs = np.indices((len(own), len(poses)))
@@ -64,8 +64,8 @@ def typical_depth_m(
 
     Args:
         poses: world_from_camera, (n,), in order of time.
-        features: Gives those of a view, by its number.
-        camera: Of the views.
+        features: Gives the features of a view, by its number.
+        camera: Camera of the views.
         scale_m: Initial distance that changes a view as much as a radian.
     """
     depths: list[Float64[np.ndarray, " k"]] = []

@@ -55,15 +55,15 @@ class Verification:
     """Weights of verified places, found on held-out images."""
 
     gain: float = 50.0
-    """By how much a place that is verified by the least number of landmarks outweighs one that is not."""
+    """Weight of a place that is verified by the least number of landmarks, in weights of the network."""
     power: float = 1.0
-    """With which power of their number that grows."""
+    """Power of the number of landmarks by which the weight grows."""
     unproposed: float = 0.1
-    """Weight of a verified place that the network did not propose."""
+    """Weight of the network that is assumed for a verified place that it did not propose."""
     clutter: float = 0.5
-    """Of "none of these": a place of weight 1 that is not verified outweighs it by the inverse."""
+    """Weight of "none of these", in weights of the network."""
     reach: float = 0.5
-    """How different a view is from the likest of the map's, 1 for a depth or a radian, of which half are verified."""
+    """Distance of a view from the most similar view of the map, in depths or radians, at which half are verified."""
     elsewhere: float = 0.05
     """Probability that landmarks verify another place of an image whose own the map does not show."""
 
@@ -74,12 +74,12 @@ class Verification:
     def scores(
         self, inliers: Float64[np.ndarray, " j"], weights: Float64[np.ndarray, " j"]
     ) -> Float64[np.ndarray, " j"]:
-        """Scores of verified places of these network weights, beside the weights of other places."""
+        """Weights of verified places with these network weights, comparable with the weights of other places."""
         return self.gain * (inliers / LEAST_INLIERS) ** self.power * (weights + self.unproposed)
 
 
 def proposed_weights(posterior: PosePosterior, poses: Poses) -> Float64[np.ndarray, " j"]:
-    """The weight of the place that each pose (j,) lies in, shared by the poses of one place; 0 where there is none."""
+    """The weight of the place around each pose (j,), shared by the poses of one place; 0 outside all places."""
     weights = np.zeros(len(poses))
     if not len(posterior.weights) or not len(poses):
         return weights
@@ -105,10 +105,10 @@ def verified(
     settings: Verification,
     mapped: MappedViews | None = None,
 ) -> PosePosterior:
-    """The posterior with the verified places; as it is where there are none.
+    """The posterior with the verified places, if any.
 
-    An image that verifies a place is of this map, however unlike the training images it is, and so not out of
-    distribution. `mapped` states where landmarks can verify places; None for everywhere.
+    An image that verifies a place is of this map, and so not out of distribution. `mapped` states where landmarks can
+    verify places; None for everywhere.
     """
     of_verified = posterior.errors.verified
     if not found or of_verified is None:
@@ -150,7 +150,7 @@ class LandmarkVerifier:
         errors: Of verified places, the model's `calibration.errors.verified`.
 
     Attributes:
-        latest: Verified poses of the latest image, that of most landmarks first.
+        latest: Verified poses of the latest image, by decreasing number of landmarks.
     """
 
     def __init__(self, landmarks: Landmarks, errors: MeasurementNoise) -> None:

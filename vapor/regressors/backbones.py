@@ -72,7 +72,7 @@ class _Backbone(nn.Module):
                 nn.init.kaiming_normal_(module.weight, mode="fan_out", nonlinearity="relu")
 
     def maps(self, x: Float[Tensor, "b 3 h w"]) -> tuple[Float[Tensor, "b c i j"], Float[Tensor, "b f k l"]]:
-        """Outputs of the third of `stages` and of the last layer for normalised images."""
+        """Outputs of the third of `stages` and of the last layer, for normalised images."""
         raise NotImplementedError
 
     def forward(self, x: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b f"]:
@@ -97,11 +97,11 @@ class ResNet18(_Backbone):
 
     @property
     def stages(self) -> tuple[nn.Module, ...]:
-        """Modules whose outputs are the image at four depths, with `stage_channels` channels."""
+        """Four modules at increasing depth, whose outputs have `stage_channels` channels."""
         return self.layer1, self.layer2, self.layer3, self.layer4
 
     def maps(self, x: Float[Tensor, "b 3 h w"]) -> tuple[Float[Tensor, "b c i j"], Float[Tensor, "b f k l"]]:
-        """As of any backbone; the last layer is the fourth of `stages`."""
+        """See `_Backbone.maps`; the last layer is the fourth of `stages`."""
         x = self.maxpool(torch.relu_(self.bn1(self.conv1(x))))
         third = self.layer3(self.layer2(self.layer1(x)))
         return third, self.layer4(third)
@@ -174,11 +174,11 @@ class EfficientNetLite0(_Backbone):
 
     @property
     def stages(self) -> tuple[nn.Module, ...]:
-        """Modules whose outputs are the image at four depths, with `stage_channels` channels."""
+        """Four modules at increasing depth, whose outputs have `stage_channels` channels."""
         return tuple(self._blocks[number] for number in _STAGE_ENDS)
 
     def maps(self, x: Float[Tensor, "b 3 h w"]) -> tuple[Float[Tensor, "b c i j"], Float[Tensor, "b f k l"]]:
-        """As of any backbone."""
+        """See `_Backbone.maps`."""
         x = functional.relu6(self._bn0(self._conv_stem(x)), inplace=True)
         third = x
         for number, block in enumerate(self._blocks):
@@ -205,11 +205,11 @@ def pretrained_lite0_state() -> dict[str, Tensor]:
 
 
 def load_pretrained(network: PoseRegressor, weights: Path | None) -> None:
-    """Load weights into the backbone, in place; a classifier's are dropped, all others must match.
+    """Load weights into the backbone of a network, in place; a classifier's are dropped, all others must match.
 
     Args:
-        network: The network to fill.
-        weights: A safetensors file or a torch state dict with torchvision's names, or a model of ours; None for the
+        network: The network.
+        weights: A safetensors file or a torch state dict with torchvision's names, or a model file; None for the
             weights of the package of EfficientNet-Lite0.
 
     Raises:
@@ -248,18 +248,18 @@ def _read_state(path: Path) -> dict[str, Tensor]:
 
 
 def _backbone_of(state: dict[str, Tensor]) -> dict[str, Tensor]:
-    """The backbone's tensors of a model of ours, as float32; those of any other file as they are."""
+    """The backbone's tensors of a model file, as float32; the tensors of other files as they are."""
     prefix = "network.backbone."
     ours = {name.removeprefix(prefix): value for name, value in state.items() if name.startswith(prefix)}
     return {name: v.float() if v.is_floating_point() else v for name, v in ours.items()} or state
 
 
 class Describer:
-    """Describes images by the activations of a network's backbone.
+    """Describes the last batch of images that went through a network, by activations of the backbone and by colours.
 
-    The mean of every channel after each of four stages and, as a network trained under changing colours has little of
-    them, histograms of how much more red, and more blue, than green there is in cells of 4 × 4 pixels, as square roots.
-    The last batch that went through the network is described. A context manager stops listening at its end.
+    A description has the mean of every channel after each of four stages. As networks trained under changing colours
+    hardly represent colours, it also has histograms of red minus green and of blue minus green in cells of 4 × 4
+    pixels, as square roots. At the end of a `with` block it stops listening to the network.
     """
 
     def __init__(self, network: PoseRegressor) -> None:

@@ -1,4 +1,4 @@
-"""What every pose regressor has: an image in, samples of the posterior over camera poses out; and how it is trained.
+"""The interface of pose regressors: an image in, samples of the posterior over camera poses out; and their training.
 
 A new regressor is a file with a subclass of `PoseRegressor`, and its row in `vapor.regressors.network_config`.
 """
@@ -6,7 +6,6 @@ A new regressor is a file with a subclass of `PoseRegressor`, and its row in `va
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, ClassVar
 
 import torch
@@ -14,7 +13,7 @@ from jaxtyping import Float, UInt8
 from torch import Tensor, nn
 
 from filtering.se3 import Poses
-from vapor.regressors.loss import Loss, LossConfig
+from vapor.regressors.loss import LossConfig
 from vapor.regressors.network_config import NetworkConfig, make_backbone, pixel_statistics
 from vapor.regressors.scene_box import SceneBox
 
@@ -36,14 +35,14 @@ PoseSamples = tuple[Float[Tensor, "b m 3"], Float[Tensor, "b m 3 3"]]
 
 
 class PoseRegressor(nn.Module, ABC):
-    """Image -> samples of the posterior over camera poses, inside a box; or a mixture whose means lie in it.
+    """Image -> samples of the posterior over camera poses.
 
-    Subclasses define how samples are drawn (`sample`) and the loss; the other methods may be replaced.
+    Subclasses define `sample` and `loss`; the other methods may be replaced.
 
     Attributes:
-        noise_dim: Standard normal numbers that one sample is made from, beside the image.
-        memory: The training images that it recalls; None before there are any, and of a regressor that recalls none.
-        learns_relative_poses: Whether its loss compares pairs of images where `LossConfig.relative` asks for it.
+        noise_dim: Number of standard normal numbers that one sample is made from.
+        memory: The training images that it recalls; None before training, and of a regressor that recalls no images.
+        learns_relative_poses: Whether its loss compares pairs of images with `LossConfig.relative`.
         frozen_backbone: Whether the backbone never learns.
     """
 
@@ -75,10 +74,7 @@ class PoseRegressor(nn.Module, ABC):
         return ((images.float() - self.pixel_mean) / self.pixel_std).permute(0, 3, 1, 2)
 
     def extract_features(self, images: Images) -> Features:
-        """Features of normalised images, in the precision of the weights: eight bits are too few afterwards.
-
-        A bfloat16 position has steps of 3 cm in 10 m.
-        """
+        """Features of normalised images, in the precision of the weights: bfloat16 has steps of 3 cm in 10 m."""
         return torch.relu(self.feature(self.backbone(images))).to(self.feature.weight.dtype)
 
     @abstractmethod
@@ -94,26 +90,22 @@ class PoseRegressor(nn.Module, ABC):
     @abstractmethod
     def loss(
         self, images: Images, true_translation: Positions, true_rotation: Rotations, noise: Noise, config: LossConfig
-    ) -> Loss:
+    ) -> Float[Tensor, ""]:
         """The loss of one batch, in training mode, with noise of `samples_in_training` samples of each image.
 
         With `relative`, the two halves of the batch are pairs.
         """
 
     def samples_in_training(self, scheduled: int) -> int:
-        """Posterior samples of an image that its loss takes, where the schedule is at so many."""
+        """Number of posterior samples of an image that the loss takes, given the number of the schedule."""
         return 1
 
     def initialise(self, training_poses: Poses, *, log_variance: float) -> None:
-        """Change the first weights before training by training poses (n,) and the configured log σ² of a latent."""
-
-    def take_weights(self, state: Mapping[str, Tensor]) -> None:
-        """Start from all weights of a trained model of the same shape."""
-        self.load_state_dict(dict(state))
+        """Adapt the random weights to training poses (n,) and to the configured log σ² of a latent."""
 
 
 class DensityRegressor(PoseRegressor):
-    """A regressor whose posterior is a density that can be evaluated: no kernels over its samples are needed."""
+    """A regressor whose posterior density can be evaluated, without kernels over its samples."""
 
     @abstractmethod
     def log_density(

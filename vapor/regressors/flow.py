@@ -19,7 +19,7 @@ from torch.nn import functional
 from filtering.se3 import Poses
 from vapor.regressors.base import DensityRegressor, Features, Images, Noise, PoseSamples, Positions, Rotations
 from vapor.regressors.layers import count_below, normal_cdf, rodrigues
-from vapor.regressors.loss import Loss, LossConfig, pose_distance
+from vapor.regressors.loss import LossConfig
 from vapor.regressors.network_config import NetworkConfig
 from vapor.regressors.scene_box import SceneBox
 
@@ -27,11 +27,11 @@ _CIRCULAR = False, False, False, True, False, True  # x, y, z, a, c, g
 _TARGET_NOISE_M, _TARGET_NOISE_RAD = 0.05, 0.05  # six of the former are the least margin of a scene box
 _OCTAVES = 4  # of sines and cosines of a coordinate, on which the later ones depend
 _LEAST_WIDTH, _LEAST_HEIGHT = 1e-3, 1e-5  # of a bin: sharpest density, and resolution of float32
-_STEEPEST = 3.0  # log ratio of the slope at a knot and that of the bins beside it, at most
+_STEEPEST = 3.0  # greatest log ratio of the slope at a knot to the slopes of the bins beside it
 
 
 class FlowRegressor(DensityRegressor):
-    """One density: each of six coordinates in [0, 1) has a spline that depends on the image and on those before it.
+    """A density: each of six coordinates in [0, 1) has a spline that depends on the image and the earlier coordinates.
 
     The coordinates are the position as fractions of the scene box's edges, and (a/2π, (c + 1)/2, g/2π) of the rotation
     R = W Rz(a) Ry(acos c) Rz(g) B. W and B permute axes, so c is the cosine between one axis of the world and one of
@@ -69,7 +69,7 @@ class FlowRegressor(DensityRegressor):
         self.camera_axes.copy_(eye.roll(int(camera) + 1, 1))  # its last row is the axis of the camera
 
     def sample(self, feature: Features, noise: Noise) -> PoseSamples:
-        """Draws, coordinate after coordinate through the inverse splines."""
+        """Draws by the inverse splines, coordinate after coordinate."""
         with torch.autocast(feature.device.type, enabled=False):
             condition = self.condition(feature)[:, None]
             uniform = normal_cdf(noise)
@@ -82,7 +82,7 @@ class FlowRegressor(DensityRegressor):
     def log_density(
         self, feature: Features, translation: Float[Tensor, "b n 3"], rotation: Float[Tensor, "b n 3 3"]
     ) -> Float[Tensor, "b n"]:
-        """Log density, per m³ rad³: the splines' slopes and the volumes of box and SO(3); −∞ outside the box."""
+        """Log density, per m³ rad³, from slopes of splines and volumes of box and SO(3); −∞ outside the box."""
         with torch.autocast(feature.device.type, enabled=False):
             condition = self.condition(feature)[:, None]
             unit = self._coordinates(translation, rotation)
@@ -97,23 +97,16 @@ class FlowRegressor(DensityRegressor):
 
     def loss(
         self, images: Images, true_translation: Positions, true_rotation: Rotations, noise: Noise, config: LossConfig
-    ) -> Loss:
-        """Negative log density of the true poses, nats, after a little noise.
-
-        Without noise the density of mere points would grow without bounds, and nothing beside them would be learned.
-        The same noise draws one sample of each image, whose distance from the true pose is reported.
-        """
+    ) -> Float[Tensor, ""]:
+        """Negative log density of the true poses, nats, with a little noise: at points it would grow without bounds."""
         feature = self.extract_features(images)
         truth = true_translation[:, None], true_rotation[:, None]
-        with torch.no_grad():
-            distance = pose_distance(*self.sample(feature, noise), *truth, config, self.box).mean()
         with torch.autocast(images.device.type, enabled=False):
             turn = _TARGET_NOISE_RAD * noise[..., 3:]
             angle = torch.linalg.vector_norm(turn, dim=-1).clamp_min(1e-9)
             translation = truth[0] + _TARGET_NOISE_M * noise[..., :3]
             rotation = truth[1] @ rodrigues(turn / angle[..., None], angle)
-        total = -self.log_density(feature, translation, rotation).mean()
-        return Loss(total, torch.zeros_like(distance), distance)
+        return -self.log_density(feature, translation, rotation).mean()
 
     def _coordinates(
         self, translation: Float[Tensor, "*batch 3"], rotation: Float[Tensor, "*batch 3 3"]
@@ -141,7 +134,7 @@ class FlowRegressor(DensityRegressor):
 
 
 class _Conditional(nn.Module):
-    """The spline of one coordinate from the image and the coordinates before it."""
+    """The spline of one coordinate from the image and the earlier coordinates."""
 
     def __init__(self, index: int, config: NetworkConfig) -> None:
         super().__init__()
@@ -165,7 +158,7 @@ class _Conditional(nn.Module):
 
 
 def _waves(known: Sequence[Tensor], like: Float[Tensor, "b n 6"]) -> Float[Tensor, "b n e"]:
-    """Sines and cosines of the coordinates known so far, e = 8 for each: whole turns where they are circular."""
+    """Sines and cosines of the known coordinates, 8 for each; circular coordinates are whole turns."""
     found = [like[..., :0]]
     for coordinate, circular in zip(known, _CIRCULAR, strict=False):
         octaves = 2.0 ** torch.arange(_OCTAVES, device=like.device, dtype=like.dtype)
@@ -189,7 +182,7 @@ class Spline:
 
     @staticmethod
     def of(raw: Float[Tensor, "b n r"], *, circular: bool) -> Spline:
-        """From any numbers, three for each bin; on a circle both ends have one slope, as they are one point."""
+        """A spline from any numbers, three for each bin; on a circle both ends have the same slope."""
         widths, heights, steepness = raw.unflatten(-1, (3, -1)).unbind(dim=-2)
         widths, heights = _fractions(widths, _LEAST_WIDTH), _fractions(heights, _LEAST_HEIGHT)
         log_slope = (heights / widths).log()

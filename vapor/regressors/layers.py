@@ -14,9 +14,9 @@ from vapor.regressors.scene_box import SceneBox
 
 
 class PoseMap(nn.Module):
-    """Vectors to camera poses inside the scene's box, through hidden layers that give `width` numbers.
+    """Vectors to camera poses inside the scene's box, through hidden layers with `width` outputs.
 
-    With `shortcut_dim`, the size of the vectors, there is a linear map from them to the pose beside the layers.
+    With `shortcut_dim`, the size of the vectors, a linear map from them to the pose is added to the layers.
     """
 
     lower: Tensor
@@ -46,9 +46,9 @@ class PoseMap(nn.Module):
 def repeated(
     poses: tuple[Float[Tensor, "b 3"], Float[Tensor, "b 3 3"]], count: int | Tensor
 ) -> tuple[Float[Tensor, "b m 3"], Float[Tensor, "b m 3 3"]]:
-    """One pose of each image, so many times; while a network is traced, `count` is a tensor."""
+    """One pose of each image, `count` times; while a network is traced, `count` is a tensor."""
     translation, rotation = poses
-    counted: Any = count  # of which torch's type hints know the first kind only
+    counted: Any = count  # torch's type hints know whole numbers only
     return translation[:, None].expand(-1, counted, -1), rotation[:, None].expand(-1, counted, -1, -1)
 
 
@@ -77,7 +77,7 @@ def normal_cdf(x: Tensor) -> Tensor:
 
 
 def count_below(numbers: Tensor, x: Tensor, *, or_equal: bool = False) -> Tensor:
-    """How many of some ascending numbers are below each x (or equal to it), along the last axis."""
+    """Number of the ascending numbers below each x (or equal to it), along the last axis."""
     if _is_tracing():
         below = numbers[..., None, :] <= x[..., None] if or_equal else numbers[..., None, :] < x[..., None]
         return below.sum(dim=-1)

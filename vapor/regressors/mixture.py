@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from vapor.regressors.base import DensityRegressor, Features, Images, Noise, PoseSamples, Positions, Rotations
 from vapor.regressors.layers import count_below, normal_cdf, rodrigues, rotation_from_6d
-from vapor.regressors.loss import Loss, LossConfig, pose_distance
+from vapor.regressors.loss import LossConfig, pose_distance
 from vapor.regressors.network_config import NetworkConfig
 from vapor.regressors.scene_box import SceneBox
 
@@ -26,7 +26,7 @@ _RELAXATION = 0.05  # fraction of the loss that goes to the components other tha
 
 
 class Components(NamedTuple):
-    """k components for each of b images, whose weights add up to 1; widths are metres along each axis and radians."""
+    """k components for each of b images, with weights of sum 1; widths are metres along each axis, and radians."""
 
     log_weights: Float[Tensor, "b k"]
     translation: Float[Tensor, "b k 3"]
@@ -43,7 +43,7 @@ class Components(NamedTuple):
 
 
 class MixtureDensity(DensityRegressor):
-    """A regressor whose posterior is such a mixture; subclasses give its components."""
+    """A regressor whose posterior is a mixture; subclasses define its components."""
 
     noise_dim = 8  # one for the component, three for the position, three for the axis and one for the angle
 
@@ -141,8 +141,8 @@ class MixtureRegressor(MixtureDensity):
 
     def loss(
         self, images: Images, true_translation: Positions, true_rotation: Rotations, noise: Noise, config: LossConfig
-    ) -> Loss:
-        """Negative log likelihood of the component that fits best, a little of the others', and which one it is.
+    ) -> Float[Tensor, ""]:
+        """Negative log likelihood of the best component and of its choice, and a little of the other components.
 
         Relaxed winner takes all: a mixture trained by its likelihood alone collapses to few components (Deng et al.).
         """
@@ -155,6 +155,4 @@ class MixtureRegressor(MixtureDensity):
         winner = torch.zeros_like(log_weights).scatter_(1, best, 1.0)
         others = _RELAXATION / log_weights.shape[1]
         learning = (1.0 - _RELAXATION) * winner + others
-        total = -(learning * log_likelihood).sum(dim=1).mean() - log_weights.gather(1, best).mean()
-        nearest = distance.gather(1, best).mean()
-        return Loss(total, torch.zeros_like(nearest), nearest.detach())
+        return -(learning * log_likelihood).sum(dim=1).mean() - log_weights.gather(1, best).mean()

@@ -36,7 +36,7 @@ REGRESSORS: Mapping[str, str] = MappingProxyType(
         "retrieval": "retrieval.RetrievalRegressor",
     }
 )
-"""Name -> module of `vapor.regressors` and class, imported when it is asked for."""
+"""Name -> module of `vapor.regressors` and class, imported on demand."""
 _MOST_ASPECT = 4.0
 
 
@@ -52,7 +52,7 @@ def make_backbone(name: Backbone) -> ResNet18 | EfficientNetLite0:
 
 
 def stage_channels(name: Backbone) -> tuple[int, int, int, int]:
-    """Channels of the image at the four depths that are the backbone's `stages`."""
+    """Numbers of channels of the outputs of a backbone's four `stages`."""
     if name == "efficientnet-lite0":
         return 24, 40, 112, 320
     width = _WIDTHS[name]
@@ -88,32 +88,32 @@ class NetworkConfig:
     backbone: Backbone = "resnet18-half"
     """Convolutional network; resnet18-half has half of its channels, for demos, resnet18-quarter a quarter."""
     head: Head = "variational"
-    """From feature to poses: "variational" through a random latent vector; "deterministic" through its mean; "point"
-    straight to one pose; "dropout" the same with random units of the feature left out, also in use; "mixture" to
-    a density of Gaussians in position and isotropic matrix-Fisher distributions in rotation; "flow" to a density made
-    of splines; "retrieval" to a mixture around training images that look alike."""
+    """The map from the feature to poses: "variational", through a random latent vector; "deterministic", through its
+    mean; "point", directly to one pose; "dropout", the same with random units of the feature left out, also in use;
+    "mixture", to a density of Gaussians in position and isotropic matrix-Fisher distributions in rotation; "flow", to a
+    density made of splines; "retrieval", to a mixture around similar training images."""
     image_width: int = 160
-    """Width of the image that enters the network, pixels. With the aspect of the camera's images it sees all but the
-    margin for crops; the paper's networks see a square."""
+    """Width of the network's input images, pixels. With the aspect of the camera they show the camera's image without
+    the margin for crops; the paper's images are squares."""
     image_height: int = 120
-    """Its height, pixels."""
+    """Height of the network's input images, pixels."""
     shortest_edge: int = 126
     """Shorter side of the frames that crops are taken from, pixels: the image's middle, of the network's aspect."""
     feature_dim: int = 2048
-    """Size of the image feature that the head takes."""
+    """Size of the image feature, the input of the head."""
     latent_dim: int = 16
     """Dimension d of the latent space."""
     hidden_width: int = 128
-    """Width of the hidden layers of the pose map, and of a flow's."""
+    """Width of the hidden layers of the pose map, or of a flow."""
     hidden_layers: int = 3
-    """Hidden layers of the pose map after its first, n_layers in the paper; and of a flow."""
+    """Number of hidden layers of the pose map after the first, n_layers in the paper; or of a flow."""
     shortcut: bool = True
     """variational, deterministic: a linear map from the latent vector to the pose beside the hidden layers of the pose
-    map, with which poses are learned from fewer images; the paper's network has none."""
+    map. Fewer images suffice with it; the paper's network has none."""
     dropout: float = 0.5
-    """dropout: fraction of the feature's units that is left out; retrieval: of the numbers that stand for an image."""
+    """dropout: fraction of the feature's units that is left out; retrieval: fraction of the numbers of an image."""
     components: int = 10
-    """mixture: its components; flow: bins of each of its splines."""
+    """mixture, retrieval: number of components; flow: number of bins of each spline."""
 
     def __post_init__(self) -> None:
         if self.backbone not in get_args(Backbone):
@@ -144,12 +144,12 @@ class NetworkConfig:
         return round(self.image_width * scale), round(self.image_height * scale)
 
     def larger(self, factor: float) -> NetworkConfig:
-        """The same for images whose edges are so many times as long."""
+        """The same shape for images with edges longer by a factor."""
         edges = {name: round(factor * getattr(self, name)) for name in ("image_width", "image_height", "shortest_edge")}
         return replace(self, **edges)
 
     def for_camera(self, width: int, height: int) -> NetworkConfig:
-        """The same for images of a camera's aspect: about as many pixels, but no more than the camera has."""
+        """The same shape for images of a camera's aspect: about as many pixels, but no more than the camera has."""
         aspect = min(max(width / height, 1 / _MOST_ASPECT), _MOST_ASPECT)
         pixels = min(self.image_width * self.image_height, width * height)
         scale = self.shortest_edge / min(self.image_width, self.image_height)

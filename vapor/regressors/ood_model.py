@@ -1,4 +1,4 @@
-"""Unlikeness of an image to the training images of a network: the distance to the nearest of some of them."""
+"""OOD score of an image: its distance to the nearest of some training images of a network."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from vapor.regressors.network_config import Backbone, stage_channels
 
 LEAST_IMAGES = 50
 QUANTILE = 0.995
-"""Fraction of images that are no further from the training images than counts as in distribution."""
+"""Fraction of images of the place that are in distribution, by which the threshold is set."""
 CHROMA_EDGES = (-0.1, -0.05, -0.03, -0.015, 0.0, 0.015, 0.03, 0.05, 0.1)
 """Bounds between kinds of colours."""
 CHROMA = 2 * (len(CHROMA_EDGES) + 1)
@@ -22,20 +22,20 @@ CHROMA = 2 * (len(CHROMA_EDGES) + 1)
 
 @dataclass(frozen=True)
 class OodModel:
-    """Descriptions of the training images of a network, and the distance from which on an image is out of distribution.
+    """Descriptions of training images of a network, and the threshold distance of images out of distribution.
 
-    An image is described by d numbers (`Describer`). Less the mean and in units of `scale`, they are projected on p
-    principal axes, and stretched. The distance of two images is Euclidean there; the residual of an image beside the
-    axes is one coordinate more, in which training images are at 0.
+    An image is described by d numbers (`Describer`). They are centred, divided by `scale`, projected on p principal
+    axes, and stretched. The distance of two images is Euclidean there; the residual of an image beside the axes is one
+    more coordinate, in which training images are at 0.
 
     Attributes:
         centre: Mean description of training images.
         scale: Unit of each number.
-        axes: Orthonormal columns.
-        stretch: Factor of each axis; the last one is also that of the residual.
+        axes: Principal axes, orthonormal columns.
+        stretch: Factor of each axis; the last factor is also the residual's.
         exemplars: n training images on the stretched axes.
-        own_distance: One training image in 200 is further from all those of other segments of the training data.
-        threshold: Distance from which on an image is out of distribution: the former, or the same of held-out images
+        own_distance: The distance to other segments of the training data that one training image in 200 exceeds.
+        threshold: Distance above which an image is out of distribution: `own_distance`, or the same of held-out images
             if larger.
     """
 
@@ -58,12 +58,11 @@ class OodModel:
                 raise VaporTrackError(f"OOD model: {name} has values that are not positive")
 
     def ood_score(self, descriptions: Float32[np.ndarray, "m d"]) -> Float64[np.ndarray, " m"]:
-        """Score of images with these descriptions: 0 an image trained on, 1 at the threshold, above it out of
-        distribution."""
+        """Scores of images with these descriptions: 0 for a training image, 1 at the threshold."""
         return self._distances(descriptions).min(axis=1) / self.threshold
 
     def with_threshold_of(self, held_out: Float32[np.ndarray, "m d"]) -> OodModel:
-        """The same with the threshold that descriptions of held-out images ask for; the training's own if too few."""
+        """The same with the threshold by descriptions of held-out images; `own_distance` where these are too few."""
         if len(held_out) < LEAST_IMAGES:
             return replace(self, threshold=self.own_distance)
         distance = float(np.quantile(self._distances(held_out).min(axis=1), QUANTILE))
@@ -71,7 +70,7 @@ class OodModel:
 
     @cached_property
     def _precise(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Axes, exemplars and their squared norms in float64: made once, as they are as large for every image."""
+        """Axes, exemplars and their squared norms in float64, computed once."""
         exemplars = self.exemplars.astype(np.float64)
         return self.axes.astype(np.float64), exemplars.T, (exemplars**2).sum(axis=1)
 
@@ -88,5 +87,5 @@ class OodModel:
 
 
 def description_size(backbone: Backbone) -> int:
-    """d, how many numbers describe an image that a backbone looks at."""
+    """d, the size of a description by this backbone."""
     return sum(stage_channels(backbone)) + CHROMA

@@ -8,18 +8,19 @@ Sources: Bayesian PoseNet, Kendall and Cipolla, "Modelling uncertainty in deep l
 from __future__ import annotations
 
 import torch
+from jaxtyping import Float
 from scipy.special import ndtri
 from torch import Tensor, nn
 
 from vapor.regressors.base import Features, Images, Noise, PoseRegressor, PoseSamples, Positions, Rotations
 from vapor.regressors.layers import PoseMap, repeated
-from vapor.regressors.loss import Loss, LossConfig, pose_distance, pose_errors
+from vapor.regressors.loss import LossConfig, pose_errors
 from vapor.regressors.network_config import NetworkConfig
 from vapor.regressors.scene_box import SceneBox
 
 
 class PointRegressor(PoseRegressor):
-    """One pose an image, and how much errors of position and of rotation count in training, which is learned too."""
+    """One pose an image; the weights of errors of position and rotation in the loss are learned, too."""
 
     learns_relative_poses = True
 
@@ -37,11 +38,11 @@ class PointRegressor(PoseRegressor):
 
     def loss(
         self, images: Images, true_translation: Positions, true_rotation: Rotations, noise: Noise, config: LossConfig
-    ) -> Loss:
-        """Errors of position and rotation, weighted by scales that are learned: |e| exp(−s) + s (Kendall and Cipolla).
+    ) -> Float[Tensor, ""]:
+        """Errors e of position and rotation, weighted by learned scales s: |e| exp(−s) + s (Kendall and Cipolla).
 
-        With `relative`, the same of the pose of each image of the second half of the batch as seen from its partner in
-        the first half, weighted by the same scales (Brahmbhatt et al., whose scales and norms may be others).
+        `relative` adds errors of the pose of each image of the second half of the batch as seen from its partner in the
+        first half, with the same scales (Brahmbhatt et al., whose scales and norms may differ).
         """
         translation, rotation = self(images, noise)
         poses = translation[:, 0], rotation[:, 0]
@@ -58,19 +59,18 @@ class PointRegressor(PoseRegressor):
                 axes = true_rotation[:half]
                 errors = pose_errors(_relative(*poses, half, axes), _relative(*truth, half, axes), config, self.box)
             total = total + config.relative * weighted(errors)
-        distance = pose_distance(*poses, *truth, config, self.box).mean()
-        return Loss(total, torch.zeros_like(distance), distance.detach())
+        return total
 
 
 def _relative(translation: Tensor, rotation: Tensor, half: int, axes: Tensor) -> tuple[Tensor, Tensor]:
-    """Poses of the second half as seen from the first; `axes` turns what they see to the world's axes."""
+    """Poses of the second half as seen from the first, turned by `axes` to the world's axes."""
     back = rotation[:half].mT
     shift = (axes @ back @ (translation[half : 2 * half] - translation[:half])[..., None])[..., 0]
     return shift, back @ rotation[half : 2 * half]
 
 
 class DropoutRegressor(PointRegressor):
-    """A pose for every draw of the units of the feature that are left out; trained as a point regressor is."""
+    """A pose for every draw of the units of the feature that are left out; trained like a point regressor."""
 
     def __init__(self, config: NetworkConfig, box: SceneBox) -> None:
         super().__init__(config, box)

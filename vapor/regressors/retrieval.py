@@ -1,8 +1,8 @@
-"""A regressor with a memory: the training images that an image is like, and the camera's motion from each.
+"""A regressor with a memory: similar training images, and the camera's motion from each.
 
-The posterior is a mixture with one component for each of the training images that look most alike: its weight is the
-likeness, its mean is that image's pose moved by the estimated motion between the two. So it has as many places as look
-like the image, and learning is about pairs of images, of which there are many more than images.
+The posterior is a mixture with one component for each of the most similar training images: its weight is the
+similarity, its mean the pose of the training image moved by the estimated motion between the two. So every similar
+place is represented, and learning is about pairs of images, of which there are many more than images.
 
 Sources: Arandjelović et al., "NetVLAD", CVPR 2016 (places by appearance); Wu et al., "Improving generalization
 via scalable neighborhood component analysis", ECCV 2018 (learned against a memory of all images); Balntas et al.,
@@ -24,7 +24,7 @@ from torch.nn import functional
 
 from vapor.regressors.base import Features, Images, Noise, Positions, Rotations
 from vapor.regressors.layers import mean_of_cells, rodrigues
-from vapor.regressors.loss import Loss, LossConfig, pose_distance
+from vapor.regressors.loss import LossConfig
 from vapor.regressors.mixture import Components, MixtureDensity
 from vapor.regressors.network_config import NetworkConfig, stage_channels
 from vapor.regressors.scene_box import SceneBox
@@ -38,12 +38,12 @@ _REACH = 2.0, 3.0  # offsets of one unit of the network's output, in small dista
 _NARROWEST, _WIDEST = 0.05, 20.0  # component, in small distances and turns
 _WIDEST_RAD = 1.0
 _EVEN = 0.05  # fraction of the density that the loss spreads over the scene
-_HIDDEN = -1e4  # in place of the likeness of images that must not be recalled
+_HIDDEN = -1e4  # similarity of images that must not be recalled
 
 
 @dataclass(frozen=True)
 class Memory:
-    """Training images in memory: unit vectors `keys` for likeness, `views` for relative poses, and true poses."""
+    """Training images in memory: unit vectors `keys` for similarity, `views` for relative poses, and true poses."""
 
     keys: Float[Tensor, "n k"]
     views: Float[Tensor, "n v"]
@@ -60,16 +60,16 @@ class Memory:
 
 
 class RetrievalRegressor(MixtureDensity):
-    """A mixture whose components are training images that look alike, moved by learned relative poses.
+    """A mixture whose components are similar training images, moved by learned relative poses.
 
-    The backbone, mostly ImageNet's, never changes: an image is the means of its last layer, and those of the third
-    stage in twelve cells. Only maps of these numbers are learned. Of the configuration, `components` are the training
-    images looked at, `hidden_width` is the size of the map from pairs of images to relative poses, `feature_dim` that
-    of the map to keys. The size of the box is the unit of lengths.
+    The backbone, mostly ImageNet's, never changes: an image is represented by means of the last layer, and by means of
+    the third stage in twelve cells. Only maps of these numbers are learned. Of the configuration, `components` is the
+    number of recalled images, `hidden_width` the size of the map from pairs of images to relative poses, `feature_dim`
+    the size of the map to keys. The size of the box is the unit of lengths.
 
     Attributes:
         centre: Mean of the backbone's numbers over training images.
-        spread: Their standard deviation; ones before there are any.
+        spread: Their standard deviation; ones before `standardise`.
     """
 
     frozen_backbone = True
@@ -141,7 +141,7 @@ class RetrievalRegressor(MixtureDensity):
         self.memory = Memory(keys, views, translation, rotation)
 
     def components(self, feature: Float[Tensor, "b f"], hidden: Bool[Tensor, "b n"] | None = None) -> Components:
-        """The mixtures of images with these features, without the remembered images that are `hidden` from each."""
+        """The mixtures of images with these features, without the remembered images that are `hidden`."""
         memory = self._remembered()
         with torch.autocast(feature.device.type, enabled=False):
             likeness = self.log_scale.exp() * self._keys(feature) @ memory.keys.T
@@ -167,22 +167,16 @@ class RetrievalRegressor(MixtureDensity):
         true_translation: Positions,
         true_rotation: Rotations,
         hidden: Bool[Tensor, "b n"] | None,
-        config: LossConfig,
-    ) -> Loss:
-        """Negative log density of the true poses, nats; a twentieth of the density counts as even over the scene's box.
+    ) -> Float[Tensor, ""]:
+        """Negative log density of the true poses, nats, without recalling the images in memory that are `hidden`.
 
-        So an image that nothing else shows, of which there is nothing to learn, cannot outweigh the rest. The images
-        in memory that are `hidden` are not recalled. The distance is that of the heaviest component.
+        A twentieth of the density is even over the scene's box, so that images of ground that no other image shows
+        cannot outweigh the rest.
         """
         mixture = self.components(feature, hidden)
-        truth = true_translation[:, None], true_rotation[:, None]
         even = -float(np.log(self.box.extent.prod() * 8.0 * np.pi**2))
-        found = mixture.log_density(*truth)[:, 0] + math.log1p(-_EVEN)
-        total = -torch.logaddexp(found, found.new_tensor(even + math.log(_EVEN))).mean()
-        row, heaviest = torch.arange(len(feature)), mixture.log_weights.argmax(dim=1)
-        poses = mixture.translation[row, heaviest], mixture.rotation[row, heaviest]
-        distance = pose_distance(*poses, true_translation, true_rotation, config, self.box).mean().detach()
-        return Loss(total, torch.zeros_like(distance), distance)
+        found = mixture.log_density(true_translation[:, None], true_rotation[:, None])[:, 0] + math.log1p(-_EVEN)
+        return -torch.logaddexp(found, found.new_tensor(even + math.log(_EVEN))).mean()
 
     def memory_shapes(self) -> dict[str, tuple[int, ...]]:
         """Shapes of the memory of one image, by name."""
@@ -190,9 +184,9 @@ class RetrievalRegressor(MixtureDensity):
 
     def loss(
         self, images: Images, true_translation: Positions, true_rotation: Rotations, noise: Noise, config: LossConfig
-    ) -> Loss:
-        """The loss of images of which none is in memory."""
-        return self.loss_of_features(self.extract_features(images), true_translation, true_rotation, None, config)
+    ) -> Float[Tensor, ""]:
+        """The loss of images that are not in memory."""
+        return self.loss_of_features(self.extract_features(images), true_translation, true_rotation, None)
 
     def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> RetrievalRegressor:
         """Take the memory along to another device."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -11,7 +9,7 @@ from torch import Tensor, nn
 from filtering.se3 import Poses
 from vapor.regressors.base import Features, Images, Noise, PoseRegressor, PoseSamples, Positions, Rotations
 from vapor.regressors.layers import PoseMap, repeated
-from vapor.regressors.loss import Loss, LossConfig, pose_distance
+from vapor.regressors.loss import LossConfig, pose_distance
 from vapor.regressors.network_config import NetworkConfig
 from vapor.regressors.scene_box import SceneBox
 
@@ -53,12 +51,11 @@ class VariationalPoseRegressor(PoseRegressor):
 
     def loss(
         self, images: Images, true_translation: Positions, true_rotation: Rotations, noise: Noise, config: LossConfig
-    ) -> Loss:
-        """β KL + mean d_pose over the batch and, of each image, the ⌊αM⌋ samples nearest to its true pose.
+    ) -> Float[Tensor, ""]:
+        """β KL + mean d_pose over the batch and, for each image, the ⌊αM⌋ samples nearest to its true pose.
 
-        All M samples are mapped without gradient first, to find the winners; only the winners are mapped again with
-        gradient. The losers' gradient is zero, so this is the gradient of mapping all of them, for a fraction of the
-        work.
+        All M samples are mapped without gradient to find the winners; only the winners are mapped again with gradient.
+        The gradient is the same as of mapping all with gradient.
         """
         mean, log_variance = self.encode(images)
         truth = true_translation[:, None], true_rotation[:, None]
@@ -68,24 +65,16 @@ class VariationalPoseRegressor(PoseRegressor):
             winning_noise = noise.gather(1, winners[..., None].expand(-1, -1, noise.shape[-1]))
         latent = sample_latent(mean, log_variance, winning_noise)
         nearest = pose_distance(*self.decode(latent), *truth, config, self.box).mean()
-        kl = kl_divergence(mean, log_variance).mean()
-        return Loss(config.beta * kl + nearest, kl.detach(), nearest.detach())
+        return config.beta * kl_divergence(mean, log_variance).mean() + nearest
 
     def samples_in_training(self, scheduled: int) -> int:
-        """As many as scheduled: the winners are found among them."""
+        """The number of the schedule: the winners are found among these samples."""
         return scheduled
 
     @torch.no_grad()
     def initialise(self, training_poses: Poses, *, log_variance: float) -> None:
-        """Let the latent have about this log variance before training."""
+        """Give the latent about this log variance before training."""
         self.latent_log_variance.bias.add_(log_variance)
-
-    def take_weights(self, state: Mapping[str, Tensor]) -> None:
-        """Where the trained model has no shortcut, a new one adds nothing at first."""
-        state = dict(state)
-        if self.pose_map.shortcut is not None:
-            state.setdefault("pose_map.shortcut.weight", torch.zeros_like(self.pose_map.shortcut.weight))
-        super().take_weights(state)
 
 
 def sample_latent(
@@ -101,7 +90,7 @@ def kl_divergence(mean: Float[Tensor, "b d"], log_variance: Float[Tensor, "b d"]
 
 
 class DeterministicPoseRegressor(VariationalPoseRegressor):
-    """The same layers, of which the latent variance is used for nothing; all samples of an image are one pose."""
+    """The same layers, without use of the latent variance; all samples of an image are one pose."""
 
     def __init__(self, config: NetworkConfig, box: SceneBox) -> None:
         super().__init__(config, box)
@@ -114,11 +103,10 @@ class DeterministicPoseRegressor(VariationalPoseRegressor):
 
     def loss(
         self, images: Images, true_translation: Positions, true_rotation: Rotations, noise: Noise, config: LossConfig
-    ) -> Loss:
+    ) -> Float[Tensor, ""]:
         """Mean d_pose over the batch."""
         mean, _ = self.encode(images)
-        distance = pose_distance(*self.decode(mean), true_translation, true_rotation, config, self.box).mean()
-        return Loss(distance, torch.zeros_like(distance), distance.detach())
+        return pose_distance(*self.decode(mean), true_translation, true_rotation, config, self.box).mean()
 
     def samples_in_training(self, scheduled: int) -> int:
         """One, as there are no others."""

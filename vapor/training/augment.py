@@ -23,11 +23,11 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class AugmentConfig:
-    """How much training images vary; an amount a means a factor drawn from [1 − a, 1 + a]."""
+    """Augmentation of training images; an amount a means a factor drawn from [1 − a, 1 + a]."""
 
     crop: Literal["central", "anywhere"] = "central"
-    """Crops from the middle, of the network's aspect, or from the whole image: a crop far off centre shows the
-    view of a turned camera."""
+    """central: crops from the middle, of the network's aspect; anywhere: crops from the whole image. A crop far off
+    centre shows the view of a turned camera."""
     brightness: float = 0.3
     """Amount of brightness."""
     contrast: float = 0.3
@@ -41,7 +41,7 @@ class AugmentConfig:
     blur_sigma_px: float = 1.0
     """Largest standard deviation of the Gaussian blur, pixels; each is drawn from half of it up."""
     light: float = 0.0
-    """Standard deviation of the logarithm of light that falls unevenly, as lamps throw it at another hour."""
+    """Standard deviation of the logarithm of uneven light, as of lamps at another hour."""
 
     def __post_init__(self) -> None:
         require_within(
@@ -106,9 +106,9 @@ def random_crops(
     size: tuple[int, int],
     shrunk: tuple[int, int] | None = None,
 ) -> UInt8[np.ndarray, "b h2 w2 3"]:
-    """The drawn part of each chosen image, some of them blurred; nothing else of the images is read.
+    """The drawn part of each chosen image, with the drawn blur; only these parts are read.
 
-    Parts are `size` pixels wide and high, and then shrunk to `shrunk`, by areas, where that is given.
+    Parts have a width and height of `size` pixels, and are shrunk to `shrunk` by averaging where that is given.
     """
     (width, height), shrunk = size, shrunk or size
     crops = np.empty((len(indices), shrunk[1], shrunk[0], 3), np.uint8)
@@ -153,10 +153,10 @@ def jitter_and_normalise(
 
 
 def one_ahead(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
-    """`function(item)` of every item, in order, each made by a thread while the one before is in use.
+    """`function(item)` of every item, in order; a thread computes each result while the previous one is in use.
 
-    One thread makes all of them in order, so random numbers that `function` draws do not depend on timing. An error is
-    raised in place of its result.
+    One thread computes all results, so random numbers that `function` draws do not depend on timing. An error is raised
+    in place of its result.
     """
     with ThreadPoolExecutor(1, thread_name_prefix="ahead") as thread:
         coming: Future[Result] | None = None

@@ -1,26 +1,26 @@
-"""The check of a new model on its held-out passes: the filter beside the single image, with errors that suit it."""
+"""The check of a new model on its held-out passes: the filter beside the single image; larger errors where needed."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Int64
+from jaxtyping import Bool, Float64, Int64
 
 from filtering.config import LocalizerConfig
 from filtering.measurement_noise import MeasurementNoise
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
-from vapor.calibration.calibrate import NUM_SAMPLES, CalibrationResult
+from sequences.odometry_fit.result import OdometryFit
+from vapor.calibration.calibrate import CalibrationResult, predict_all
 from vapor.calibration.ood_model import extract_features
 from vapor.checkpoints.calibration import Calibration
 from vapor.checkpoints.scene_scale import default_errors
 from vapor.evaluation.consistency import REGIONS, evaluate_belief
 from vapor.evaluation.trajectory import is_right
-from vapor.evaluation.validation import predict
 from vapor.landmarks.localize import VerifiedPose
 from vapor.landmarks.verify import verified
 from vapor.regressors.base import PoseRegressor
@@ -34,7 +34,7 @@ METHODS = ("single_image", "kalman", "filter", "smoothed")
 LEAST_PASS = 20  # images
 _MOST_IMAGES = 600
 _LEAST_EVALUATED = 50
-_WIDER = (2.0, 4.0, 8.0, 16.0)  # variances that are tried
+_WIDER = (2.0, 4.0, 8.0, 16.0)  # factors of the variances that are tried
 
 
 def check(
@@ -52,78 +52,76 @@ def check(
     """Run the filter over held-out passes, and choose errors with which it is no worse than the single image.
 
     Args:
-        network: With its final weights.
-        images: Recordings, n images, of which some are held out.
-        held_out: Those, (n,).
+        network: The network with its final weights.
+        images: n images of recordings that have held-out images.
+        held_out: Mask of the held-out images, (n,).
         result: Calibration of the network.
-        ood_model: Of the network.
+        ood_model: OOD model of the network, if any.
         scene: Poses that outline the scene.
-        landmarks: Of the images that are not held out; None where there are none.
-        seed: Of latent noise and the filter's draws.
+        landmarks: Landmarks of the training images, if any.
+        seed: Seed of latent noise and of the filter's draws.
         advance: Called with the number of images done and of all.
 
     Returns:
-        The check, None without `LEAST_PASS` images in a row with odometry, and the calibration to keep.
+        The check, or None without `LEAST_PASS` consecutive images with odometry; and the calibration to keep.
     """
     fitted = result.calibration
     runs = list(_runs(images, held_out))
     if not runs:
         return None, fitted
     runs = [(rows[: max(_MOST_IMAGES // len(runs), LEAST_PASS)], odometry) for rows, odometry in runs]
-    total, done = sum(len(rows) for rows, _ in runs), 0
-    seen: list[tuple[list[Poses], np.ndarray, Sequence[Sequence[VerifiedPose]]]] = []
-    for rows, _ in runs:
-        some, samples = images.select(rows), []
-        for poses in predict(network, some, NUM_SAMPLES, seed):
-            samples.append(poses)
-            advance(done + len(samples), total)
-        done += len(samples)
+    parts = [images.select(rows) for rows, _ in runs]
+    passes = []
+    for (rows, odometry), some, samples in zip(runs, parts, predict_all(network, parts, seed, advance), strict=True):
         scores = ood_model.ood_score(extract_features(network, some)) if ood_model else np.zeros(len(rows))
-        of_landmarks: list[Sequence[VerifiedPose]] = [() for _ in rows]
+        found_poses: list[Sequence[VerifiedPose]] = [() for _ in rows]
         if landmarks is not None:
             for i, row in enumerate(rows.tolist()):
                 coarse = posterior_of(samples[i], fitted.errors, float(scores[i]))
-                of_landmarks[i] = landmarks.found(images, row, coarse.means[np.argsort(-coarse.weights, kind="stable")])
-        seen.append((samples, scores, of_landmarks))
+                found_poses[i] = landmarks.found(images, row, coarse)
+        passes.append(_Pass(some, odometry[: len(rows)], samples, scores, found_poses))
 
-    def tried(errors: MeasurementNoise) -> list[Followed]:
-        fit = fitted.odometry
-        config = LocalizerConfig() if fit is None else replace(LocalizerConfig(), odometry_bias=fit.odometry_bias)
-        followed = []
-        for (rows, odometry), of_run in zip(runs, seen, strict=True):
-
-            def posterior(
-                image: int,
-                of_run: tuple[list[Poses], np.ndarray, Sequence[Sequence[VerifiedPose]]] = of_run,
-                errors: MeasurementNoise = errors,
-            ) -> PosePosterior:
-                samples, scores, verified_poses = of_run
-                coarse = posterior_of(samples[image], errors, float(scores[image]))
-                if landmarks is None:
-                    return coarse
-                return verified(coarse, verified_poses[image], landmarks.verification, landmarks.mapped)
-
-            segment = Segment(images.times_ns[rows], odometry[: len(rows)], images.poses[rows], posterior)
-            segment = segment.restated(fit)
-            rng = np.random.default_rng(seed)
-            followed.append(follow(segment, errors, config, rng=rng, baselines=("kalman",)))
-        return followed
-
-    followed, kept = tried(fitted.errors), fitted.errors
-    found = _summed(followed)
-    if found.worse or found.overconfident:
-        others = [(factor, False, _inflated(fitted.errors, factor)) for factor in _WIDER]
-        others.append((1.0, True, replace(default_errors(scene), verified=fitted.errors.verified)))
-        for inflation, assumed, errors in others:
-            again = tried(errors)
-            other = replace(_summed(again), inflation=inflation, assumed=assumed)
-            if other.rank > found.rank:
-                found, followed, kept = other, again, errors
-            if not (found.worse or found.overconfident):
-                break
+    candidates = [(1.0, False, fitted.errors)]
+    candidates += [(factor, False, _inflated(fitted.errors, factor)) for factor in _WIDER]
+    candidates.append((1.0, True, replace(default_errors(scene), verified=fitted.errors.verified)))
+    found, followed, kept = None, [], fitted.errors
+    for inflation, assumed, errors in candidates:
+        again = [each.followed(errors, fitted.odometry, landmarks, seed) for each in passes]
+        other = replace(_summed(again), inflation=inflation, assumed=assumed)
+        if found is None or other.rank > found.rank:
+            found, followed, kept = other, again, errors
+        if not (found.worse or found.overconfident):
+            break
+    assert found is not None
     smoothed = [each.poses_at_end()["smoothed"] for each in followed]
     found = replace(found, methods={**found.methods, "smoothed": _figures(followed, smoothed)})
     return replace(found, verdict=verdict(found, result)), replace(fitted, errors=kept)
+
+
+@dataclass(frozen=True)
+class _Pass:
+    """A held-out pass, with the results of network and landmarks for each of its images."""
+
+    images: TrainingSet
+    odometry: tuple[Odometry | None, ...]
+    samples: list[Poses]
+    scores: Float64[np.ndarray, " n"]
+    verified_poses: list[Sequence[VerifiedPose]]
+
+    def followed(
+        self, errors: MeasurementNoise, fit: OdometryFit | None, landmarks: HeldOutLandmarks | None, seed: int
+    ) -> Followed:
+        """The filter along the pass, with these errors of images."""
+        config = LocalizerConfig() if fit is None else replace(LocalizerConfig(), odometry_bias=fit.odometry_bias)
+
+        def posterior(image: int) -> PosePosterior:
+            coarse = posterior_of(self.samples[image], errors, float(self.scores[image]))
+            if landmarks is None:
+                return coarse
+            return verified(coarse, self.verified_poses[image], landmarks.verification, landmarks.mapped)
+
+        segment = Segment(self.images.times_ns, self.odometry, self.images.poses, posterior).restated(fit)
+        return follow(segment, errors, config, rng=np.random.default_rng(seed), baselines=("kalman",))
 
 
 def _inflated(errors: MeasurementNoise, factor: float) -> MeasurementNoise:
@@ -135,7 +133,7 @@ def _inflated(errors: MeasurementNoise, factor: float) -> MeasurementNoise:
 def _runs(
     images: TrainingSet, held_out: Bool[np.ndarray, " n"]
 ) -> Iterator[tuple[Int64[np.ndarray, " k"], tuple[Odometry | None, ...]]]:
-    """Held-out images that odometry leads through, and the motion to each from the one before."""
+    """Runs of held-out images that odometry connects, and the motion to each image from the previous one."""
     rows: list[int] = []
     motions: list[Odometry | None] = []
     for row in np.flatnonzero(held_out).tolist():
@@ -151,7 +149,7 @@ def _runs(
 
 
 def _between(images: TrainingSet, first: int, last: int) -> Odometry | None:
-    """Motion from one image to a later one, through those between; None where it is not known."""
+    """Motion from one image to a later one; None where odometry is missing in between."""
     found: Odometry | None = None
     for step in images.odometry[first + 1 : last + 1]:
         if step is None:

@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from filtering.errors import require_within
 from vapor.checkpoints.calibration import Calibration
 from vapor.engines.engine import Device
 from vapor.regressors.loss import LossConfig
@@ -25,51 +26,50 @@ class TrainConfig:
     network: NetworkConfig = field(default_factory=NetworkConfig)
     """Shape of the network, and of its images."""
     aspect: Literal["camera", "network"] = "camera"
-    """Aspect of the network's images: that of the camera of most images (of the first image, where none is known),
-    with as many pixels as `network` has but no more than the camera has; or the network's own, to which images are
-    cropped."""
+    """Aspect of the network's images: camera takes the aspect of the camera of most images (of the first image where no
+    camera is known), with as many pixels as `network` has but no more than the camera has; network takes the network's
+    own, to which images are cropped."""
     loss: LossConfig = field(default_factory=LossConfig)
     """Weights of the loss."""
     augment: AugmentConfig = field(default_factory=AugmentConfig)
-    """How much training images vary."""
+    """Amounts of the augmentation of training images."""
     bandwidth_translation_m: float = 0.1
-    """Kernel width of posterior samples along each axis, metres: of the density by which epochs are evaluated."""
+    """Kernel width of posterior samples along each axis, metres, for the density by which epochs are evaluated."""
     bandwidth_rotation_rad: float = 0.1
-    """Likewise about each axis, radians."""
+    """Kernel width about each axis, radians."""
     calibrate: bool = True
-    """At the end find on the held-out images how wrong posteriors are (and odometry, where it was recorded), and learn
-    the appearance of the place."""
+    """At the end, fit the errors of posteriors (and of recorded odometry) on the held-out images, and learn the
+    appearance of the place."""
     landmarks: bool = True
-    """Keep a map of points that the images show, by which a pose is found to centimetres."""
+    """Keep a map of points that the images show, which gives poses to centimetres."""
     camera: CameraChoice = "auto"
-    """The camera by which landmarks are found: the stated one, the one that fits images and poses, or the latter where
-    it fits clearly better; where none is stated, the one that fits."""
+    """The camera of the landmarks: the stated one; the one that fits images and poses (estimated); or the latter where
+    it fits clearly better (auto). Where no camera is stated, the one that fits."""
     pretrained_weights: Path | None = None
-    """Weights of the backbone to start from: ImageNet's, as safetensors or a torch state dict with torchvision's names,
-    or those of a model trained here. Without it a ResNet starts from random weights."""
+    """Initial weights of the backbone: ImageNet's, as safetensors or a torch state dict with torchvision's names, or
+    the weights of a model trained here. Without it a ResNet starts from random weights."""
     pretrained: bool = True
     """efficientnet-lite0: start from the ImageNet weights of its package where no file is given."""
     initial_model: Path | None = None
-    """A model trained here, of the same network shape, all of whose weights are the start: to go on with more data, or
-    with another loss. Its scene box is widened where the new data need it, and a missing shortcut is added."""
+    """A model trained here, of the same network shape, whose weights are the start: to go on with more data, or with
+    another loss. Its scene box is widened where the new data need it."""
     initial_log_variance: float = -4.0
-    """variational: log σ² of the latent before training, about; `initial_model` brings its own. With a low one the pose
-    map can use early what the encoder learns, which noise would hide; 0, as in the paper, is where images without
-    information on the place end."""
+    """variational: approximate log σ² of the latent before training, unless `initial_model` gives one. With a low one
+    the pose map uses early what the encoder learns, which noise would hide; the paper has 0."""
     epochs: int | None = None
-    """Times every training image is seen; None for as many as `hours` allow, from 4 to `most_epochs`."""
+    """Number of passes over the training images; None for as many as `hours` allow, from 4 to `most_epochs`."""
     most_epochs: int = 200
-    """epochs None: that many at most."""
+    """Greatest number of epochs where `epochs` is None."""
     hours: float = 0.2
-    """Hours that training takes where `epochs` are not given; the time of a step is measured first."""
+    """Duration of the training, hours, where `epochs` is None; the time of a step is measured first."""
     larger_from_hours: float | None = None
-    """aspect camera: given so many hours, and where `epochs` follow from them, images are 1.75 times as large along
-    each edge as in `network`; None for never."""
+    """aspect camera, epochs None: from this number of `hours` on, the edges of images are 1.75 times as long as in
+    `network`; None for never."""
     finish: float = 0.2
-    """After its evaluation the model goes on learning from everything, held-out images too, for this fraction of the
-    epochs; 0 for none: then it never learns from held-out images."""
+    """After its evaluation the model goes on learning from all images, held-out ones too, for this fraction of the
+    epochs; with 0 it never learns from held-out images."""
     batch_size: int = 32
-    """Images per step, at least 2; all of them where there are fewer."""
+    """Images per step, at least 2; all images where there are fewer."""
     learning_rate: float = 3e-3
     """Largest learning rate of AdamW."""
     weight_decay: float = 1e-2
@@ -77,7 +77,7 @@ class TrainConfig:
     warmup: float = 0.1
     """Fraction of the training in which the learning rate rises by a cosine, before it falls by another."""
     decay_epochs: int | None = None
-    """Instead, the learning rate decays by 0.8 every so many epochs, ten times at most: n in the paper."""
+    """Instead, the learning rate decays by 0.8 after every n epochs, ten times at most: n in the paper."""
     ewta_fraction: float = 0.0
     """Fraction of the training in which the samples per image grow from the number of winners, who then all learn, to
     M (evolving winners take all, Makansi et al., CVPR 2019): where many places look alike, unambiguous information is
@@ -86,43 +86,44 @@ class TrainConfig:
     """Fraction of the epochs in which images are shrunk, to 0.4 of their edges and later to 0.6: features of places are
     learned from them in a third to half of the time. These epochs are not evaluated. retrieval: without effect."""
     ema_decay: float = 0.998
-    """Decay per step of the exponential moving average of weights, which becomes the model; with 0 it is the last
-    weights themselves."""
+    """Decay per step of the exponential moving average of weights, which becomes the model; with 0 the last weights
+    become the model."""
     validation_fraction: float = 0.1
-    """About this fraction of the images is held out where no validation data is given, in passes over ground that
+    """Approximate fraction of the images that is held out where no validation data is given, in passes over ground that
     others cover; 0 for none."""
     validation_images: int = 500
-    """Held-out images that epochs are evaluated on, evenly spaced, at most."""
+    """Greatest number of held-out images by which epochs are evaluated, evenly spaced."""
     select_by: Literal["sample_recall", "mode_recall", "log_density"] = "sample_recall"
-    """The epoch that is best on held-out images by this figure becomes the model; without any it is the last. The
-    density at the true pose falls when a possible place is forgotten, but it prefers vague posteriors to sharp ones
+    """The epoch that is best on held-out images by this figure becomes the model; without held-out images the last one.
+    The density at the true pose falls when a possible place is forgotten, but it prefers vague posteriors to sharp ones
     that miss: for a ceiling of 24 places alike it once chose the second epoch of 24."""
     precision: Literal["auto", "float32", "bfloat16"] = "auto"
-    """Arithmetic of the encoder in training; auto takes bfloat16 where the hardware has it, but for efficientnet-lite0
-    on a CPU, which gains nothing by it."""
+    """Arithmetic of the encoder in training; auto takes bfloat16 where the hardware has it, except for
+    efficientnet-lite0 on a CPU, which gains nothing by it."""
     seed: int = 0
-    """Of initial weights, order, augmentation and latent noise."""
+    """Seed of initial weights, order, augmentation and latent noise."""
     device: Device = "auto"
-    """Where to train."""
+    """Device of the training."""
     resume: bool = True
-    """Go on with an interrupted training of the same output, configuration and data."""
+    """Continue an interrupted training of the same output, configuration and data."""
 
     def __post_init__(self) -> None:
-        for name in ("epochs", "most_epochs", "hours", "larger_from_hours", "learning_rate", "decay_epochs"):
-            if (value := getattr(self, name)) is not None and not value > 0:
-                raise TrainingError(f"training: {name} is {value}, expected a positive number")
-        for name, low, high in (
-            ("batch_size", 2, 10**9),  # batch statistics take two
-            ("validation_images", 1, 10**9),
-            ("initial_log_variance", -10, 5),
-            ("weight_decay", 0.0, 1e9),
-            ("seed", 0, 2**63),
-        ):
-            if not low <= (value := getattr(self, name)) <= high:
-                raise TrainingError(f"training: {name} is {value}, expected {low} to {high}")
-        for name in ("ewta_fraction", "small_images_first", "ema_decay", "validation_fraction", "warmup"):
-            if not 0 <= getattr(self, name) < 1:
-                raise TrainingError(f"training: {name} is {getattr(self, name)}, expected it in [0, 1)")
+        for name in ("epochs", "larger_from_hours", "decay_epochs"):
+            if getattr(self, name) is not None:
+                require_within(self, **{name: (1e-9, 1e9)})
+        fractions = "ewta_fraction", "small_images_first", "ema_decay", "validation_fraction", "warmup"
+        require_within(
+            self,
+            most_epochs=(1, 10**9),
+            hours=(1e-9, 1e9),
+            learning_rate=(1e-30, 1e30),
+            batch_size=(2, 10**9),  # batch statistics take two
+            validation_images=(1, 10**9),
+            initial_log_variance=(-10.0, 5.0),
+            weight_decay=(0.0, 1e9),
+            seed=(0, 2**63),
+            **dict.fromkeys(fractions, (0.0, 1.0 - 1e-9)),
+        )
         Calibration(self.bandwidth_translation_m, self.bandwidth_rotation_rad)  # refuses widths out of range
         if self.initial_model is not None and self.pretrained_weights is not None:
             raise TrainingError(
@@ -136,7 +137,7 @@ class TrainConfig:
             )
 
     def network_for(self, width: int, height: int) -> NetworkConfig:
-        """The network's shape for a camera's images of a size, pixels: with `aspect` network as it is."""
+        """The network's shape for a camera's images, given their size in pixels."""
         if self.aspect == "network":
             return self.network
         larger = self.epochs is None and self.larger_from_hours is not None and self.hours >= self.larger_from_hours
@@ -145,10 +146,7 @@ class TrainConfig:
     @property
     def known_epochs(self) -> int:
         """Number of epochs, once that is known."""
-        if self.epochs is None:
-            raise TrainingError(
-                "training: epochs is None, expected a number by the time that a schedule follows from it"
-            )
+        assert self.epochs is not None
         return self.epochs
 
     @property

@@ -23,20 +23,20 @@ from vapor.training_data.training_set import TrainingError, TrainingSet
 
 _REMEMBERED = 32  # steps between two updates of the memory of all images, at least
 
-StepCallback = Callable[[int, float, float], None]
-"""Called after every step with the steps of this epoch that are done, the mean loss so far and the learning rate."""
+StepCallback = Callable[[int, float], None]
+"""Called after every step with the number of steps of this epoch and the mean loss so far."""
 _Order = Int64[np.ndarray, "steps b"]
 
 
 def train_epoch(
     state: TrainingState, training: TrainingSet, config: TrainConfig, report: StepCallback, *, since: int = 0
 ) -> float:
-    """One pass over the images in random order, an incomplete last batch left out; returns the mean loss.
+    """One pass over the images in random order, without an incomplete last batch; returns the mean loss.
 
     Args:
-        state: Between two epochs; its weights and its average learn, its count of epochs is left as it is.
+        state: State between two epochs. Weights and average change, the count of epochs does not.
         training: The images.
-        config: How, with its number of epochs.
+        config: The configuration, with its number of epochs.
         report: Called after every step.
         since: The epoch in which the schedule of learning rates began.
 
@@ -73,12 +73,12 @@ def train_epoch(
                 f"loss is {value} in epoch {state.epoch + 1}, step {number + 1}, expected a finite number;"
                 f" a smaller learning rate than {config.learning_rate} may help"
             )
-        report(number + 1, total / (number + 1), rate)
+        report(number + 1, total / (number + 1))
     return total / steps
 
 
 def features_for(state: TrainingState, images: TrainingSet) -> TrainingFeatures | None:
-    """Features of images, extracted once, for a regressor that recalls images; None for any other."""
+    """Features of images, extracted once, for a regressor that recalls images; None for other regressors."""
     network, average = state.network.recalling, state.average.recalling
     if network is None or average is None:
         return None
@@ -97,10 +97,7 @@ def _losses_of_images(
     rng: np.random.Generator,
     generator: torch.Generator,
 ) -> Iterator[Tensor]:
-    """The loss of this process' part of every batch, of random crops in random colours and light.
-
-    Each batch is cropped while the network learns from the one before.
-    """
+    """Losses of this process' part of each batch of crops, which is prepared while the previous one is learned from."""
     network, images, pairs = state.network, training.images, config.loss.relative > 0.0
     device = network.pixel_mean.device
     translation = torch.from_numpy(training.poses.translation).float().to(device)
@@ -139,10 +136,7 @@ def _losses_of_features(
     order: _Order,
     generator: torch.Generator,
 ) -> Iterator[Tensor]:
-    """The loss of this process' part of every batch, of features some of whose numbers are left out.
-
-    The memory follows the weights in intervals.
-    """
+    """Losses of this process' part of each batch of features after dropout; the memory is renewed at intervals."""
     device, dropout = network.pixel_mean.device, config.network.dropout
     varied = features.varied(network, state.epoch, config, bfloat16=uses_bfloat16(config, device))
     count = len(features.images)
@@ -155,13 +149,13 @@ def _losses_of_features(
         kept = torch.rand(feature.shape, generator=generator, device=device) >= dropout
         feature, indices = (feature * kept / (1.0 - dropout))[own], batch[own]
         truth = features.translation[indices], features.rotation[indices]
-        yield state.learner("loss_of_features", feature, *truth, features.hidden(indices), config.loss)
+        yield state.learner("loss_of_features", feature, *truth, features.hidden(indices))
 
 
 def paired(
     indices: Int64[np.ndarray, " b"], sequence: Int64[np.ndarray, " n"], gap: int, *, rng: np.random.Generator
 ) -> Int64[np.ndarray, " b"]:
-    """The first half of a batch, then for each of it another image of its sequence, at most `gap` images away."""
+    """The first half of a batch, then a partner for each: an image of its sequence, at most `gap` images away."""
     first = indices[: len(indices) // 2]
 
     def missing(there: Int64[np.ndarray, " h"]) -> np.ndarray:
@@ -169,15 +163,14 @@ def paired(
         return outside | (sequence[np.clip(there, 0, len(sequence) - 1)] != sequence[first])
 
     there = first + rng.choice([-1, 1], len(first)) * rng.integers(1, gap, len(first), endpoint=True)
-    there = np.where(missing(there), 2 * first - there, there)  # on the other side, where there is none on this
+    there = np.where(missing(there), 2 * first - there, there)  # on the other side of the first image
     return np.concatenate([first, np.where(missing(there), first, there)])
 
 
 def uses_bfloat16(config: TrainConfig, device: torch.device) -> bool:
     """Whether the encoder is trained in bfloat16.
 
-    With "auto" where that is faster than float32: without instructions for it, it is many times slower, and on a CPU
-    separable convolutions do not gain by it where they learn.
+    "auto" takes it where it is faster: with instructions for it, except for separable convolutions that learn on a CPU.
     """
     if config.precision != "auto":
         return config.precision == "bfloat16"
@@ -193,7 +186,7 @@ def uses_bfloat16(config: TrainConfig, device: torch.device) -> bool:
 def update_average(average: nn.Module, network: nn.Module, decay: float, step: int) -> None:
     """Move the average towards the weights and BatchNorm statistics; faster in the first steps of a training.
 
-    `decay` of the average is left after a step; 0 leaves the average as it is.
+    `decay` is the weight of the old average; with 0 there is no average, and nothing is done.
     """
     if not decay:
         return

@@ -24,12 +24,12 @@ from vapor.training_data.ground import (
 )
 from vapor.training_data.training_set import TrainingSet
 
-WHOLE_OF = 4  # recordings from which on one is held out as a whole
-_LEAST_SHOWN = 0.25  # of a pass that is held out
-AWAY = 1.5  # times what counts as near: elsewhere
+WHOLE_OF = 4  # least number of recordings of which whole ones are held out
+_LEAST_SHOWN = 0.25  # of a pass, for it to be held out
+AWAY = 1.5  # distance from which on the camera is elsewhere, in distances that count as near
 _COMPARED = 4000  # images by which passes are compared
-_NAMED = 5
-_STRETCH, _IN_STRETCH = 0.7, 4  # of a way and images at least, which are held out or left out at a time
+_NAMED = 5  # recordings in a note
+_STRETCH, _IN_STRETCH = 0.7, 4  # least length of a short stretch: distance by `way_of`, and images
 
 
 @dataclass(frozen=True)
@@ -38,9 +38,9 @@ class Split:
 
     Attributes:
         training: Images to train on.
-        source: Recordings of which images are held out, n images: those between them carry the camera's motion.
-        held_out_mask: The images held out, (n,): trained images show the surroundings of each, and none of them is next
-            to it in time.
+        source: All n images of the recordings that have held-out images, as odometry leads through all of them.
+        held_out_mask: Mask of the held-out images, (n,). Training images show the surroundings of each, and are apart
+            from it in time.
         notes: The reasons of the choice, in sentences.
         everything: Images to learn from once the model was evaluated.
         near_m: Distance within which a place counts as shown, metres.
@@ -58,12 +58,16 @@ class Split:
         """The images to evaluate and calibrate on."""
         return self.source.select(np.flatnonzero(self.held_out_mask))
 
+    def evaluated(self, limit: int) -> TrainingSet:
+        """At most `limit` of the held-out images, evenly spaced."""
+        return self.held_out.select(spaced(len(self.held_out), limit))
+
 
 def hold_out(images: TrainingSet, fraction: float) -> Split:
     """Hold out about a fraction of the images, in [0, 1).
 
-    Of four recordings and more whole ones, those that the others cover best; of fewer the segments that are covered
-    best by the rest. Ground that no other pass shows is trained on, and images next to it are left out. Where nothing
+    Of four or more recordings, the whole ones that the others cover best are held out; of fewer, the segments that the
+    rest covers best. Ground that no other pass shows is trained on, and images next to it are left out. Where nothing
     is covered, the middles of short stretches are held out.
     """
     nothing = np.zeros(len(images), bool)
@@ -96,10 +100,9 @@ def hold_out(images: TrainingSet, fraction: float) -> Split:
 
 
 def _within_one_pass(images: TrainingSet, way: Float64[np.ndarray, " n"], fraction: float, near_m: float) -> Split:
-    """Hold out the middles of short stretches, where no pass leads over ground that another shows, too.
+    """Hold out the middles of short stretches, where no pass leads over ground that another pass shows.
 
-    What lies between the middle of a stretch and its ends is left out, so that nothing trained on was taken at nearly
-    the same time.
+    Images between the middle of a stretch and its ends are left out: they were taken at nearly the same time.
     """
     begins = np.flatnonzero(np.diff(images.sequence, prepend=images.sequence[0] - 1))
     since = way - way[begins][np.searchsorted(begins, np.arange(len(way)), side="right") - 1]
@@ -118,9 +121,9 @@ def _within_one_pass(images: TrainingSet, way: Float64[np.ndarray, " n"], fracti
             break
     if held_out.sum() < LEAST_IMAGES:
         note = (
-            f"nothing is held out: no {LEAST_IMAGES} images in a row lead over ground that others show, too, nor are"
-            " there as many in the middles of short stretches; the last epoch is kept, and how images err is assumed,"
-            " not found: record another pass, or give held-out data"
+            f"nothing is held out: fewer than {LEAST_IMAGES} images lead over ground that other passes show, or lie in"
+            " the middles of short stretches; the last epoch is kept, and errors are assumed: record another pass, or"
+            " give held-out data"
         )
         return Split(images, images, np.zeros(len(images), bool), (note,), images, near_m)
     count = sum(1 for _ in runs(held_out, images.sequence))
@@ -139,10 +142,10 @@ def within_map(training: TrainingSet, held_out: TrainingSet) -> Split:
 
 
 def shown_by(images: TrainingSet, near_m: float) -> Bool[np.ndarray, "n r"]:
-    """Whether each of n images is shown by each of r recordings: by another pass of it where the image is its own.
+    """Whether each of n images is shown by each of r recordings; in its own recording, by another pass.
 
-    Another pass is one before which the camera was elsewhere, or looked away by more than 90°. A place within `near_m`
-    counts as shown, as `hold_out` found it.
+    Before another pass the camera was elsewhere, or looked away by more than 90°. A place within `near_m` counts as
+    shown, see `Split.near_m`.
     """
     scale_m = FARTHEST * typical_side_m(images.poses)
     way = way_of(images)
@@ -168,7 +171,7 @@ def shown_by(images: TrainingSet, near_m: float) -> Bool[np.ndarray, "n r"]:
 
 
 def way_of(images: TrainingSet) -> Float64[np.ndarray, " n"]:
-    """Distance that the camera has covered, (n,): 1 where it is elsewhere, and for each 45° turned."""
+    """Normalized distance that the camera has covered, (n,): 1 for a move to elsewhere, and for each 45° turned."""
     steps = np.zeros(len(images))
     if len(images) > 1:
         moved_m, turned = images.poses[:-1].distance(images.poses[1:])
@@ -179,12 +182,12 @@ def way_of(images: TrainingSet) -> Float64[np.ndarray, " n"]:
 def _chosen(
     images: TrainingSet, way: Float64[np.ndarray, " n"], fraction: float, side: float
 ) -> tuple[Bool[np.ndarray, " n"], float]:
-    """Images of the passes to hold out, and how far away counts as near."""
+    """Mask of the passes to hold out, and the distance that counts as near, metres."""
     passes = list(_passes(images.sequence, fraction))
     taken = np.zeros(len(images), bool)
 
     def nearest(which: slice) -> Float64[np.ndarray, " k"]:
-        """Of the images of a pass and of those taken before: how far those are that would be trained on."""
+        """Distances of the images of a pass, and of those already taken, from the images that would be trained on."""
         mask = taken.copy()
         mask[which] = True
         others = ~mask & ~_touching(way, images.sequence, mask)
@@ -201,7 +204,7 @@ def _chosen(
 
 
 def _passes(sequence: Int64[np.ndarray, " n"], fraction: float) -> Iterator[slice]:
-    """What may be held out as one: whole recordings of many, else segments."""
+    """Candidates for holding out: whole recordings, or segments of few recordings."""
     begins = np.flatnonzero(np.diff(sequence, prepend=sequence[0] - 1))
     for begin, end in pairwise([*begins.tolist(), len(sequence)]):
         length = end - begin
@@ -214,7 +217,7 @@ def _passes(sequence: Int64[np.ndarray, " n"], fraction: float) -> Iterator[slic
 def _touching(
     way: Float64[np.ndarray, " n"], sequence: Int64[np.ndarray, " n"], mask: Bool[np.ndarray, " n"]
 ) -> Bool[np.ndarray, " n"]:
-    """Images from which the camera comes to one of the mask, or from one of it, before it is elsewhere."""
+    """Images next to the mask: between the two the camera does not move to elsewhere."""
     touching = np.zeros(len(mask), bool)
     for number in np.unique(sequence[mask]):
         own = np.flatnonzero(sequence == number)
@@ -228,7 +231,7 @@ def _touching(
 def long_runs(
     mask: Bool[np.ndarray, " n"], way: Float64[np.ndarray, " n"], sequence: Int64[np.ndarray, " n"]
 ) -> Bool[np.ndarray, " n"]:
-    """The runs of a mask in which the camera comes somewhere else."""
+    """The runs of a mask in which the camera moves to elsewhere."""
     kept = np.zeros(len(mask), bool)
     for run in runs(mask, sequence):
         kept[run] = way[run.stop - 1] - way[run.start] >= 1.0

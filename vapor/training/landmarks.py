@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool
 
 from filtering.mapped_views import MappedViews
+from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from vapor.calibration.calibrate import NUM_SAMPLES
 from vapor.calibration.camera_fit import fit_camera
@@ -17,13 +17,13 @@ from vapor.calibration.error_correlation import ErrorCorrelation, Travel, effect
 from vapor.calibration.image_errors import LEAST_IMAGES
 from vapor.calibration.ood_model import extract_features
 from vapor.calibration.verification import SeenPlaces, evidence, fit_reach, fit_verification, none_right
-from vapor.calibration.verified_errors import QueryFeatures, VerifiedErrors, fit_verified_errors, leave_out
+from vapor.calibration.verified_errors import VerifiedErrors, fit_verified_errors, leave_out
 from vapor.checkpoints.calibration import Calibration
 from vapor.checkpoints.scene_scale import log_clutter_density, spaced
 from vapor.evaluation.validation import predict
-from vapor.landmarks.build import BuiltMap, Material, build, gather
+from vapor.landmarks.build import Advance, BuiltMap, Material, build, gather
 from vapor.landmarks.landmark_map import ViewCamera
-from vapor.landmarks.localize import LandmarkLocalizer, VerifiedPose, query_features
+from vapor.landmarks.localize import LandmarkLocalizer, VerifiedPose
 from vapor.landmarks.verify import Verification
 from vapor.regressors.base import PoseRegressor
 from vapor.regressors.ood_model import OodModel
@@ -33,7 +33,6 @@ from vapor.training.holding_out import Split
 from vapor.training_data.ground import near_scale_m, pass_numbers
 from vapor.training_data.training_set import TrainingSet
 
-Advance = Callable[[int, int], None]
 _NONE = "no landmarks: {}; places stay as coarse as the network's"
 _IMAGES = 200
 _NEAR = 0.25, 0.2  # depths and radians: a verified pose so near to the true one is of the right place
@@ -44,21 +43,19 @@ _AROUND = 1.5  # depths or radians: key images further away are ignored
 
 @dataclass(frozen=True)
 class FoundLandmarks:
-    """A map of landmarks of the images that are learned from.
+    """A map of landmarks of training images.
 
     Attributes:
         built: The map.
         verified: Errors of the poses that it verifies.
-        verification: Where it can verify poses, as far as that is known yet.
-        images: The images that it is of.
-        notes: Findings, in sentences.
+        verification: The reach of the map, and default weights.
+        images: Images of the map.
     """
 
     built: BuiltMap
     verified: VerifiedErrors
     verification: Verification
     images: TrainingSet
-    notes: tuple[str, ...]
 
     def without(self, trained: TrainingSet) -> tuple[LandmarkLocalizer, Poses]:
         """A localizer by the images that a network was trained on, and the poses of the key images it lacks."""
@@ -73,36 +70,35 @@ class FoundLandmarks:
 def find_landmarks(
     images: TrainingSet, choice: CameraChoice, advance: Advance = lambda done, total: None
 ) -> tuple[FoundLandmarks | None, tuple[str, ...]]:
-    """Landmarks of training images with views, and findings in sentences; None where images do not show any.
+    """Landmarks of training images with views, or None, and findings in sentences.
 
     `advance` is called with the number of images done and of all, stage by stage.
     """
     if images.view_camera is None or not len(images.views):
         return None, ()
-    stated, poses, known = ViewCamera(images.view_camera), images.poses, images.camera is not None
     material = gather(
         lambda image: images.views[images.rows[image]],
-        poses,
-        stated.camera,
-        stated=known,
-        scale_m=near_scale_m(poses),
+        images.poses,
+        images.view_camera,
+        sequence=images.sequence,
+        stated=images.camera is not None,
+        scale_m=near_scale_m(images.poses),
         given=lambda image: images.seen_points[images.rows[image]] if images.seen_points else None,
         advance=advance,
     )
     if material is None:
         return None, (_NONE.format("no two images show the same from two sides"),)
-    features = cache(lambda image: query_features(images.views[images.rows[image]]))
-    built, notes = _best_map(images, features, material, stated, choice if known else "estimated", known=known)
+    built, notes = _best_map(material, choice, images.camera_size[0])
     if built is None:
         return None, (*notes, _NONE.format("hardly any point is seen where it must be by the poses"))
-    left_out = leave_out(built, features, images.poses, images.sequence, advance=advance)
-    verified = fit_verified_errors(left_out, poses, images.sequence, log_clutter_density(poses))
+    left_out = leave_out(built, advance=advance)
+    verified = fit_verified_errors(left_out, log_clutter_density(images.poses))
     if verified is None:
         few = f"without the images taken near them in time they verify the poses of {len(left_out.right)} images only"
         return None, (*notes, _NONE.format(f"{few}, and how poses err is found on {LEAST_IMAGES} or more"))
     found = (
         f"landmarks: {len(built.points)} points, seen in {len(material.key)} images; without the images taken near them"
-        f" in time they verify the poses of {left_out.verified:.0%} of {len(left_out.image)} images, which then err by"
+        f" in time they verify the poses of {left_out.verified:.0%} of {len(left_out.found)} images, which then err by"
         f" {100 * verified.median_m:.1f} cm and {np.degrees(verified.median_rad):.1f}° (median)"
     )
     if verified.elsewhere > 0.0:
@@ -114,41 +110,31 @@ def find_landmarks(
         f"; they reach views that differ by {verification.reach * built.material.depth_m:.1f} m, and beyond"
         f" {verification.elsewhere:.0%} are taken for another place"
     )
-    return FoundLandmarks(built, verified, verification, images, (*notes, found)), (*notes, found)
+    return FoundLandmarks(built, verified, verification, images), (*notes, found)
 
 
-def _best_map(
-    images: TrainingSet,
-    features: QueryFeatures,
-    material: Material,
-    stated: ViewCamera,
-    choice: CameraChoice,
-    *,
-    known: bool,
-) -> tuple[BuiltMap | None, tuple[str, ...]]:
-    """The map by the camera that fits, with a notice."""
-    if choice == "stated":
-        return build(material, stated), ()
-    fit = fit_camera(material, stated, features, images.poses, images.sequence, known=known, compare=choice == "auto")
+def _best_map(material: Material, choice: CameraChoice, width_px: int) -> tuple[BuiltMap | None, tuple[str, ...]]:
+    """The map by the camera that fits, with a notice on images of this width."""
+    choice = choice if material.stated is not None else "estimated"
+    fit = None if choice == "stated" else fit_camera(material, compare=choice == "auto")
     if fit is None:
-        return build(material, stated), ()
+        return build(material, ViewCamera(material.camera)), ()
     if fit.by_found is None or (choice == "auto" and not fit.is_better):
         return fit.by_stated, ()
-    taken = "" if choice == "estimated" or not known else "; so it is taken (--camera stated: the stated one)"
-    found = fit.in_words(images.camera_size[0] if images.camera_size else stated.camera.width)
-    return fit.by_found, (f"camera: {found}{taken}",)
+    taken = "; so it is taken (--camera stated: the stated one)" if choice == "auto" else ""
+    return fit.by_found, (f"camera: {fit.in_words(width_px)}{taken}",)
 
 
 @dataclass(frozen=True)
 class HeldOutLandmarks:
-    """Verification of held-out images by the landmarks that trained images show.
+    """Verification of held-out images by the landmarks that training images show.
 
     Attributes:
-        localizer: By the trained images.
-        hidden: Poses of the key images that it lacks, (h,).
-        verification: Meaning of a verified place.
-        none_right: Probability that none of the verified places of an image is the right one.
-        outlier_lengths: Lengths of their errors over which verified places are mistaken for others.
+        localizer: Localizer by the training images.
+        hidden: Poses of the key images that the localizer lacks, (h,).
+        verification: Weights of verified places.
+        none_right: Probability that no verified place of an image is right.
+        outlier_lengths: Correlation length of mistakes about verified places, in lengths of their errors.
     """
 
     localizer: LandmarkLocalizer
@@ -159,7 +145,7 @@ class HeldOutLandmarks:
 
     @cached_property
     def mapped(self) -> MappedViews:
-        """Region in which it can verify places."""
+        """Region in which the localizer can verify places."""
         return self.localizer.mapped(self.verification.reach, self.verification.elsewhere)
 
     @staticmethod
@@ -171,7 +157,7 @@ class HeldOutLandmarks:
         ood_model: OodModel | None,
         config: TrainConfig,
     ) -> HeldOutLandmarks:
-        """Find on the held-out images how reliable a verified place is."""
+        """Fit the reliability of verified places on the held-out images."""
         localizer, hidden = landmarks.without(split.training)
         held = HeldOutLandmarks(localizer, hidden, landmarks.verification)
         rows = np.flatnonzero(split.held_out_mask)
@@ -183,7 +169,7 @@ class HeldOutLandmarks:
         seen, which, depth_m = [], [], landmarks.built.material.depth_m
         for row, samples, score in zip(rows, predict(network, some, NUM_SAMPLES, config.seed), scores, strict=True):
             posterior = posterior_of(samples, calibration.errors, float(score))
-            found = held.found(split.source, int(row), posterior.means[np.argsort(-posterior.weights, kind="stable")])
+            found = held.found(split.source, int(row), posterior)
             if found:
                 which.append(int(row))
                 truth = split.source.poses[int(row)]
@@ -201,15 +187,16 @@ class HeldOutLandmarks:
         mistaken = max(outlier_lengths(weights, travel, lengths), _NEW_VIEW * depth_m / own.length_m)
         return replace(held, verification=verification, none_right=wrong, outlier_lengths=mistaken)
 
-    def found(self, images: TrainingSet, row: int, proposed: Poses | None = None) -> list[VerifiedPose]:
-        """The poses that landmarks verify of an image, which is as new to the map wherever it looks alike.
+    def found(self, images: TrainingSet, row: int, posterior: PosePosterior) -> list[VerifiedPose]:
+        """Verified poses of an image with this posterior, as if it were new to the map everywhere.
 
-        Key images are hidden around the true pose. So that places which look alike have no advantage, the like are
-        ignored there: in use, an image is new everywhere.
+        Key images are hidden around the true pose. So that similar places have no advantage, their corresponding key
+        images are ignored, too.
         """
         if not len(images.views):
             return []
         localizer, truth = self.localizer, images.poses[row]
+        proposed = posterior.means[np.argsort(-posterior.weights, kind="stable")]
         features = localizer.features(images.views[images.rows[row]])
         found = localizer.localize(features, proposed)
         ignored = np.zeros(len(localizer.landmarks.poses), bool)
@@ -218,7 +205,7 @@ class HeldOutLandmarks:
         return localizer.ignoring(ignored).localize(features, proposed) if ignored.any() else found
 
     def _counterparts(self, found: Poses, truth: Poses) -> Bool[np.ndarray, " n"]:
-        """Key images around a pose that correspond to hidden ones around the true pose; none if that is near."""
+        """Key images around a pose that correspond to hidden ones around the true pose, unless both poses are near."""
         localizer, depth_m = self.localizer, self.localizer.landmarks.depth_m
         ignored = np.zeros(len(localizer.landmarks.poses), bool)
         metres, radians = map(float, found.distance(truth))

@@ -1,4 +1,4 @@
-"""Training data of a regressor that recalls images: features extracted once, and the images it must not recall."""
+"""Training data of a regressor that recalls images: features, extracted once, and images that it must not recall."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from vapor.training.processes import own_part, sum_of_all
 from vapor.training_data.ground import near_scale_m
 from vapor.training_data.training_set import TrainingSet
 
-_ALONE = 0.2  # of the way to elsewhere: so far its own pass is hidden where nothing else shows a place
+_ALONE = 0.2  # length of the own pass that is hidden where nothing else shows a place, in units of `way_of`
 _CHUNK = 512
 VARIANTS = 6
-"""Ways in which every training image is varied, at most."""
+"""Greatest number of variations of each training image."""
 _VARIANTS_BYTES = 10**9
 _BATCH = 64
 
@@ -33,13 +33,13 @@ class TrainingFeatures:
 
     Attributes:
         images: The images.
-        features: Of each, from `extract_features`.
+        features: Their features, from `extract_features`.
         translation: True positions, metres.
         rotation: True rotations, world_from_camera.
-        sequence: Recording of each.
-        way: Distance that the camera has covered, in units of `way_of`.
-        reach: Images of the same recording within this distance are hidden from each.
-        variants: Features of the images varied by augmentation, by number.
+        sequence: Number of the recording of each image.
+        way: Distance that the camera has covered, from `way_of`.
+        reach: Distance within which images of the same recording are hidden from each image.
+        variants: Features of the images after augmentation, by the number of the variation.
     """
 
     images: TrainingSet
@@ -53,16 +53,13 @@ class TrainingFeatures:
 
     @property
     def num_variants(self) -> int:
-        """Number of ways in which the images are varied."""
+        """Number of variations of each image."""
         return int(np.clip(_VARIANTS_BYTES // (self.features.nbytes + 1), 1, VARIANTS))
 
     def varied(
         self, network: RetrievalRegressor, number: int, config: TrainConfig, *, bfloat16: bool
     ) -> Float[Tensor, "n f"]:
-        """Features of the images when they are varied, half precision; the same for the same number.
-
-        Epochs beyond `num_variants` repeat them.
-        """
+        """Features of the images after the variation of this number, modulo `num_variants`; half precision."""
         variant = number % self.num_variants
         if variant not in self.variants:
             size, device = (config.network.image_width, config.network.image_height), self.features.device
@@ -87,7 +84,7 @@ class TrainingFeatures:
         return self.variants[variant]
 
     def hidden(self, indices: Int64[np.ndarray, " b"]) -> Bool[Tensor, "b n"]:
-        """The images that each of some must not recall: its own pass, to which no future image belongs."""
+        """The images that each of these must not recall: its own pass, which no image in use will be part of."""
         rows = torch.from_numpy(indices).to(self.way.device)
         near = (self.way[rows][:, None] - self.way).abs() < self.reach[rows][:, None]
         return near & (self.sequence[rows][:, None] == self.sequence)
@@ -96,10 +93,9 @@ class TrainingFeatures:
 def extract_training_features(
     network: RetrievalRegressor, images: TrainingSet, known: TrainingFeatures | None = None
 ) -> TrainingFeatures:
-    """Features of training images, in order of time, once for all of a training.
+    """Features of training images, in order of time.
 
-    A network whose numbers are not standardised yet is standardised by these images. `known` features are not extracted
-    again.
+    A network that is not standardised yet is standardised by these images. `known` features are not extracted again.
     """
     device = network.pixel_mean.device
     features = torch.empty(len(images), len(network.centre), dtype=torch.float16, device=device)
@@ -136,13 +132,13 @@ def features_of(network: RetrievalRegressor, images: TrainingSet) -> Float[Tenso
 
 
 def remember(network: PoseRegressor, features: TrainingFeatures | None) -> None:
-    """Let a network that recalls images remember these with its present weights; does nothing with any other."""
+    """Let a network that recalls images remember these with its present weights; others are left as they are."""
     if network.recalling is not None and features is not None:
         network.recalling.remember(features.features, features.translation, features.rotation)
 
 
 def _shown_again(images: TrainingSet, way: Float64[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-    """Whether another pass, or another recording, shows the ground of each image."""
+    """Whether another pass or recording shows the ground of each image."""
     at = (images.poses.translation / near_scale_m(images.poses)).astype(np.float32)
     ahead = images.poses.rotation[:, :, 2].astype(np.float32)
     square, shown = (at**2).sum(axis=1), np.zeros(len(images), bool)

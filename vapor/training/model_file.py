@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any, Literal
 
+from filtering.measurement_noise import MeasurementNoise
 from filtering.se3 import Poses
 from vapor.calibration.calibrate import CalibrationResult, calibrate
 from vapor.calibration.ood_model import EXEMPLARS, learn_ood_model
@@ -29,9 +30,9 @@ from vapor.training_data.training_set import TrainingSet
 
 @dataclass(frozen=True)
 class HeldOutFindings:
-    """Results on held-out images; `landmarks` are of all images, None where these show none.
+    """Results on held-out images, and the landmarks of all images.
 
-    `calibrated` is None where it was not configured, `check` without held-out passes or odometry through them.
+    `calibrated` is None where calibration was not configured, `check` without held-out passes with odometry.
     """
 
     calibration: Calibration
@@ -41,16 +42,15 @@ class HeldOutFindings:
 
     @property
     def provenance(self) -> dict[str, Any]:
-        """For the model file."""
+        """JSON for the model file."""
         if self.calibrated is None:
             return {}
-        return {"calibration": self.calibrated.provenance, "check": self.check.as_json if self.check else None}
+        return {"calibration": self.calibrated.provenance, "check": asdict(self.check) if self.check else None}
 
 
 def calibrate_and_check(
     model: PoseRegressor,
     split: Split,
-    evaluated: TrainingSet,
     config: TrainConfig,
     landmarks: FoundLandmarks | None,
     advance: Callable[[Literal["calibrating", "checking"], int, int], None],
@@ -58,24 +58,21 @@ def calibrate_and_check(
     """Calibrate a model on held-out images where that is configured, and run the filter over them.
 
     Args:
-        model: With its final weights.
+        model: The network with its final weights.
         split: The held-out images.
-        evaluated: Held-out images that epochs were evaluated on.
-        config: Of the training.
-        landmarks: Of all images; None where there are none.
+        config: Configuration of the training.
+        landmarks: Landmarks of all images, if any.
         advance: Called with the stage, the number of images done and of all.
     """
     prior_poses = _prior_poses(model, split.training, config.seed)
     widths = config.bandwidth_translation_m, config.bandwidth_rotation_rad
     calibration = Calibration(*widths, default_errors(prior_poses))
-    verified = None if landmarks is None else landmarks.verified.errors
     if not config.calibrate:
-        calibration = replace(calibration, errors=replace(calibration.errors, verified=verified))
-        return HeldOutFindings(
-            calibration,
-            landmarks=None if landmarks is None else Landmarks(landmarks.built.landmarks, landmarks.verification),
-        )
-    ood_model = _ood_model(model, split.training, evaluated)
+        if landmarks is None:
+            return HeldOutFindings(calibration)
+        of_everything = Landmarks(landmarks.built.landmarks, landmarks.verification)
+        return HeldOutFindings(_with_verified(calibration, landmarks.verified.errors), landmarks=of_everything)
+    ood_model = _ood_model(model, split, config)
     calibrated = calibrate(
         model,
         split.held_out,
@@ -87,13 +84,13 @@ def calibrate_and_check(
         seed=config.seed,
         advance=partial(advance, "calibrating"),
     )
-    calibration = replace(calibrated.calibration, errors=replace(calibrated.calibration.errors, verified=verified))
-    calibrated = replace(calibrated, calibration=calibration)
-    held = None if landmarks is None else HeldOutLandmarks.of(landmarks, model, split, calibration, ood_model, config)
-    if held is not None and verified is not None:
+    held = None
+    if landmarks is not None:
+        verified = landmarks.verified.errors
+        calibration = _with_verified(calibrated.calibration, verified)
+        held = HeldOutLandmarks.of(landmarks, model, split, calibration, ood_model, config)
         verified = replace(verified, outlier_probability=held.none_right, outlier_lengths=held.outlier_lengths)
-        calibration = replace(calibration, errors=replace(calibration.errors, verified=verified))
-        calibrated = replace(calibrated, calibration=calibration)
+        calibrated = replace(calibrated, calibration=_with_verified(calibration, verified))
     checked, calibration = check(
         model,
         split.source,
@@ -111,17 +108,20 @@ def calibrate_and_check(
     return HeldOutFindings(calibration, calibrated, checked, of_everything)
 
 
+def _with_verified(calibration: Calibration, verified: MeasurementNoise) -> Calibration:
+    return replace(calibration, errors=replace(calibration.errors, verified=verified))
+
+
 def model_checkpoint(
     model: PoseRegressor,
     learned: TrainingSet,
     split: Split,
-    evaluated: TrainingSet,
     found: HeldOutFindings,
     config: TrainConfig,
     provenance: Mapping[str, Any],
 ) -> Checkpoint:
     """A finished model that learned from some images, ready to be written, with its provenance as JSON."""
-    ood_model = _ood_model(model, split.training, evaluated) if config.calibrate else None
+    ood_model = _ood_model(model, split, config) if config.calibrate else None
     return Checkpoint(
         config.network,
         model.box,
@@ -136,8 +136,9 @@ def model_checkpoint(
     )
 
 
-def _ood_model(model: PoseRegressor, training: TrainingSet, evaluated: TrainingSet) -> OodModel | None:
-    return learn_ood_model(model, training.select(spaced(len(training), EXEMPLARS)), evaluated)
+def _ood_model(model: PoseRegressor, split: Split, config: TrainConfig) -> OodModel | None:
+    training = split.training.select(spaced(len(split.training), EXEMPLARS))
+    return learn_ood_model(model, training, split.evaluated(config.validation_images))
 
 
 def _prior_poses(model: PoseRegressor, images: TrainingSet, seed: int) -> Poses:

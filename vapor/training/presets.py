@@ -50,7 +50,7 @@ def _paper(
 
 
 def _learning(c: TrainConfig) -> TrainConfig:
-    """Settings for a regressor all of which learns, of a preset for one with a frozen backbone."""
+    """The settings of a preset for a frozen backbone, changed for a regressor whose backbone learns."""
     if not regressor_class(c.network.head).frozen_backbone:
         return c
     names = "weight_decay", "ema_decay", "finish", "most_epochs", "select_by"

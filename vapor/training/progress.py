@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
-from typing import Any, Literal
+from dataclasses import dataclass, field
+from typing import Literal
 
 from vapor.calibration.calibrate import CalibrationResult
 from vapor.checkpoints.checkpoint import Checkpoint
@@ -21,18 +21,13 @@ class Progress:
 
     Attributes:
         stage: Present stage.
-        done: Images read or held out, steps done since the training's start, interrupted or not, or held-out images
-            seen.
+        done: Number of images or steps done; steps count from the first start of an interrupted training.
         total: Steps or images in all; None while reading.
         epoch: The current epoch, from 1.
         epochs: Epochs in all.
         loss: Mean training loss of this epoch so far.
-        learning_rate: Of the last step.
-        seconds: Of training since its start, interrupted or not, reading and evaluation left out.
-        left_s: Estimated seconds of training left.
         validation: Figures of the last epoch that was evaluated.
-        best: Figures of the best epoch.
-        notes: Held-out images and the reasons, once before the first step.
+        notes: The choice of held-out images with its reasons, once before the first step.
     """
 
     stage: Literal[
@@ -43,11 +38,7 @@ class Progress:
     epoch: int = 0
     epochs: int = 0
     loss: float | None = None
-    learning_rate: float | None = None
-    seconds: float = 0.0
-    left_s: float = 0.0
     validation: Validation | None = None
-    best: Validation | None = None
     notes: tuple[str, ...] = ()
 
 
@@ -59,11 +50,11 @@ class TrainResult:
         checkpoint: The model that was written.
         history: Figures of every epoch that was evaluated.
         best: Figures of the epoch that was kept; None without held-out images.
-        seconds: Of training since its start, interrupted or not, reading and evaluation left out.
-        images_seen: Likewise.
+        seconds: Duration of all epochs, without reading and evaluation; the time before an interruption counts.
+        images_seen: Number of images in all epochs.
         calibration: Calibration at the end; None where it was not configured.
-        check: The filter on the held-out passes; None without any, or without odometry through them.
-        skipped: Images and poses of all data that were left out in reading, by reason.
+        check: The filter on the held-out passes; None without such passes, or without odometry through them.
+        skipped: Number of images and poses that were skipped in reading, by reason.
         notices: Facts about the data for the user.
     """
 
@@ -98,11 +89,12 @@ class TrainingCheck:
         images: Images evaluated.
         passes: Passes, in each of which the filter starts with an empty belief.
         methods: Figures by the names of `METHODS`.
-        converged: Fraction of the images called converged.
-        wrong: Fraction of these beyond 0.3 m or 20°; None where none is.
-        coverage: Fraction of these in the filter's 50, 90 and 95 % regions, by name; None where they are fewer than 50.
-        inflation: Factor of the variances of images, as the fitted ones were not good enough.
-        assumed: Whether errors in proportion to the scene replace the fitted ones, for the same reason.
+        converged: Fraction of the images with status converged.
+        wrong: Fraction of the converged images beyond 0.3 m or 20°; None where no image is converged.
+        coverage: Fraction of the converged images in the filter's 50, 90 and 95 % regions, by name; None where fewer
+            than 50 images are converged.
+        inflation: Factor by which the fitted variances of images were too small.
+        assumed: Whether errors in proportion to the scene replace the fitted ones, which did worse.
         verdict: A sentence that compares the filter with the single image, with the likely cause where it is worse.
     """
 
@@ -124,25 +116,19 @@ class TrainingCheck:
 
     @property
     def overconfident(self) -> bool:
-        """Whether its regions hold too few true poses."""
+        """Whether the filter's regions hold too few true poses."""
         return self.coverage is not None and self.coverage["95%"] < _LEAST_COVERAGE
 
     @property
     def rank(self) -> tuple[bool, float, bool]:
         """The check with the greatest rank is kept, of equal ones the first.
 
-        Overconfidence counts most. Which of two filters is worse by less is luck: it depends on the wrong place they
-        stay at.
+        Overconfidence counts most. By how much a filter is worse is luck: it depends on the wrong place where it stays.
         """
         held = 1.0
         if self.overconfident and self.coverage is not None:
             held = self.coverage["95%"]
         return not self.overconfident, held, not self.worse
-
-    @property
-    def as_json(self) -> dict[str, Any]:
-        """For the model file."""
-        return asdict(self)
 
 
 def verdict(found: TrainingCheck, result: CalibrationResult) -> str:

@@ -26,7 +26,7 @@ def learning_rate(config: TrainConfig, step: int, steps_per_epoch: int) -> float
 
 
 def image_size(config: TrainConfig, epoch: int) -> tuple[int, int]:
-    """Width and height of the images of an epoch, pixels, counted from 0: small ones first where that is configured."""
+    """Width and height, pixels, of the images of an epoch, counted from 0; the first epochs may have small images."""
     c, done = config.network, epoch / config.known_epochs
     if done >= config.small_images_first:
         return c.image_width, c.image_height
@@ -36,13 +36,13 @@ def image_size(config: TrainConfig, epoch: int) -> tuple[int, int]:
 
 
 def step_cost(config: TrainConfig, epoch: int) -> float:
-    """Time of a step of an epoch as a fraction of one with whole images, about: a fifth is the same for any size."""
+    """Approximate time of a step of an epoch, in steps with whole images; a fifth does not depend on the size."""
     width, height = image_size(config, epoch)
     return 0.2 + 0.8 * width * height / (config.network.image_width * config.network.image_height)
 
 
 def first_epoch_of_size(config: TrainConfig, epoch: int) -> int:
-    """The first epoch whose images, and those of all since, have the size of this one's."""
+    """The first of the consecutive epochs up to this one whose images have the same size."""
     size = image_size(config, epoch)
     while epoch > 0 and image_size(config, epoch - 1) == size:
         epoch -= 1
@@ -50,7 +50,7 @@ def first_epoch_of_size(config: TrainConfig, epoch: int) -> int:
 
 
 def samples_per_image(config: TrainConfig, step: int, steps_per_epoch: int) -> int:
-    """Posterior samples per image of one step, counted from 0 over the whole training: geometric growth, then M."""
+    """Number of posterior samples per image in a step, counted from 0 over the training: geometric growth, then M."""
     winners, samples = config.loss.num_winners, config.loss.num_samples
     done = step / (steps_per_epoch * config.known_epochs)
     if done >= config.ewta_fraction:
@@ -59,12 +59,12 @@ def samples_per_image(config: TrainConfig, step: int, steps_per_epoch: int) -> i
 
 
 def steps_in_epoch(images: TrainingSet, config: TrainConfig) -> int:
-    """An incomplete last batch is left out; where there are fewer images than a batch, they are one."""
+    """Number of steps in an epoch, without an incomplete last batch; all images are one batch where they are fewer."""
     return max(len(images) // config.batch_size, 1)
 
 
 def evaluation_interval(training: int, evaluated: int) -> int:
-    """Epochs from one evaluation to the next: of more images than are trained on it would take longer than an epoch."""
+    """Number of epochs from one evaluation to the next, so that evaluation takes no longer than training."""
     return max(1, math.ceil(evaluated / training))
 
 

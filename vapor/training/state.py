@@ -1,8 +1,9 @@
-"""State of a training: its start, and one safetensors file beside the output from which it resumes exactly."""
+"""State of a training: its start, and the file beside the output from which an interrupted training resumes exactly."""
 
 from __future__ import annotations
 
 import json
+from collections import defaultdict
 from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import asdict, dataclass, field, replace
@@ -13,10 +14,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from filtering.errors import quoted
 from filtering.se3 import Poses
-from sequences.errors import SequenceError
-from sequences.values import parse_number
 from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.checkpoints.file_format import load_checkpoint
 from vapor.checkpoints.stored_config import parse_config, parse_metadata
@@ -37,24 +35,24 @@ FORMAT = "vapor-track training state"
 VERSION = 2
 _MOMENTS = {"step", "exp_avg", "exp_avg_sq"}  # AdamW's, of a parameter
 _AGAIN = "remove the file, or train with --no-resume, to start again"
-_SELDOM = 50.0  # times as long as the last one took, at least, from one saving to the next
+_SELDOM = 50.0  # least time from one saving to the next, in durations of the last saving
 
 
 @dataclass
 class TrainingState:
-    """A training between two epochs. There is no generator in it: an epoch's randomness follows from seed and number.
+    """A training between two epochs. It has no random generator: an epoch's draws follow from seed and number.
 
     Attributes:
         network: The network being trained.
-        average: Its exponential moving average, which is evaluated and becomes the model.
+        average: The exponential moving average of its weights, which is evaluated and becomes the model.
         learner: Gives the network's loss, from `make_learner`.
         optimizer: AdamW, with its moments.
-        epochs: Epochs before the finished model is evaluated.
-        epoch: Epochs done; more than that while it goes on with everything.
-        seconds: Their duration, evaluation left out.
-        history: Figures of the epochs done, where there are held-out images.
+        epochs: Number of epochs before the model is evaluated.
+        epoch: Number of finished epochs; more than `epochs` while held-out images are learned from, too.
+        seconds: Duration of the finished epochs, without evaluation.
+        history: Figures of the evaluated epochs.
         best: Weights of the best epoch so far, on the CPU.
-        features: Of the images of the epoch, for a regressor that recalls images; not stored.
+        features: Features of the training images, for a regressor that recalls images; not stored.
     """
 
     network: PoseRegressor
@@ -86,8 +84,6 @@ def save_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) ->
     tensors |= {f"best.{k}": v for k, v in state.best.items()}
     for index, moments in state.optimizer.state_dict()["state"].items():
         tensors |= {f"optimizer.{index}.{k}": v for k, v in moments.items()}
-    # Storage is shared where nothing was averaged; safetensors wants each tensor on its own.
-    tensors = {k: v.detach().cpu().clone(memory_format=torch.contiguous_format) for k, v in tensors.items()}
     config = {
         "identity": json.loads(json.dumps(identity)),
         "epochs": state.epochs,
@@ -103,8 +99,7 @@ def load_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) ->
     """Fill a fresh state from a file, in place.
 
     Raises:
-        CheckpointError: no training state, a damaged one, of another version, of another training, or with other
-            tensors.
+        CheckpointError: no training state, or a damaged one, of another version or of another training.
     """
     try:
         metadata, tensors = read_safetensors(path)
@@ -122,12 +117,10 @@ def load_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) ->
             f"{path}: interrupted training differs in {', '.join(differs) or 'its configuration'}, expected the same"
             f" configuration and data; {_AGAIN}"
         )
-    groups: dict[str, dict[str, Tensor]] = {"network": {}, "average": {}, "best": {}, "optimizer": {}}
+    groups: dict[str, dict[str, Tensor]] = defaultdict(dict)
     for name, value in tensors.items():
-        if value.is_complex():
-            raise CheckpointError(f"{path}: tensor {name} is of {value.dtype}, expected real numbers")
         group, _, rest = name.partition(".")
-        groups.setdefault(group, {})[rest] = value
+        groups[group][rest] = value
     try:
         state.network.load_state_dict(groups["network"])
         state.average.load_state_dict(groups["average"])
@@ -135,27 +128,21 @@ def load_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) ->
         state.optimizer.load_state_dict({**state.optimizer.state_dict(), "state": moments})
         if groups["best"]:
             deepcopy(state.average).load_state_dict(groups["best"])
-    except (RuntimeError, ValueError, IndexError) as error:
-        raise CheckpointError(f"{path}: {' '.join(str(error).split())}, expected the network's tensors") from error
-    state.best = groups["best"]
-    try:
-        state.epochs, state.epoch = (
-            int(parse_number(config.get(name), f"{path}: {name}", 0)) for name in ("epochs", "epoch")
-        )
-        state.seconds = parse_number(config.get("seconds"), f"{path}: seconds", 0)
-    except SequenceError as error:
-        raise CheckpointError(str(error)) from error
-    history = config.get("history")
-    if not isinstance(history, list):
-        raise CheckpointError(f"{path}: history is {quoted(history)}, expected a list of the figures of epochs")
-    state.history = [parse_config(path, "history", Validation, entry) for entry in history]
+        state.best = groups["best"]
+        state.epochs, state.epoch = int(config["epochs"]), int(config["epoch"])
+        state.seconds = float(config["seconds"])
+        state.history = [parse_config(path, "history", Validation, entry) for entry in config["history"]]
+    except (RuntimeError, ValueError, TypeError, LookupError) as error:
+        raise CheckpointError(
+            f"{path}: {' '.join(str(error).split())}, expected a training's state; {_AGAIN}"
+        ) from error
 
 
 def _moments(tensors: Mapping[str, Tensor], optimizer: torch.optim.Optimizer) -> dict[int, dict[str, Tensor]]:
     """AdamW's moments by the index of their parameter, in the parameter's memory layout.
 
-    The fused AdamW walks parameter and moments by address: a channels-last parameter with contiguous moments would
-    silently be updated with those of other elements.
+    The fused AdamW goes through parameter and moments by address: a channels-last parameter with contiguous moments
+    would silently be updated with the moments of other elements.
     """
     parameters = [p for group in optimizer.param_groups for p in group["params"]]
     moments: dict[int, dict[str, Tensor]] = {}
@@ -163,9 +150,8 @@ def _moments(tensors: Mapping[str, Tensor], optimizer: torch.optim.Optimizer) ->
         index, _, key = name.partition(".")
         alike = value if key == "step" else torch.empty_like(parameters[int(index)]).copy_(value)
         moments.setdefault(int(index), {})[key] = alike.detach()
-    for index, each in moments.items():
-        if each.keys() != _MOMENTS:
-            raise ValueError(f"optimizer.{index} has {quoted(sorted(each))} instead of {quoted(sorted(_MOMENTS))}")
+    if any(each.keys() != _MOMENTS for each in moments.values()):
+        raise ValueError(f"the optimizer has moments other than {', '.join(sorted(_MOMENTS))}")
     return moments
 
 
@@ -173,35 +159,32 @@ def initial_model(config: TrainConfig) -> Checkpoint | None:
     """The model all of whose weights are the start, if one is configured.
 
     Raises:
-        TrainingError: its network has another shape.
-        CheckpointError: it cannot be read.
+        TrainingError: the model's network has another shape.
+        CheckpointError: the model cannot be read.
     """
     if config.initial_model is None:
         return None
     initial = load_checkpoint(config.initial_model)
     wanted = config.network
     sizes = {name: getattr(wanted, name) for name in ("image_width", "image_height", "shortest_edge")}
-    shortcut = initial.network.shortcut or wanted.shortcut  # `take_weights` adds one that is missing
-    found = replace(initial.network, shortcut=shortcut, **sizes)  # convolutions fit images of any size
-    if other := [name for name, value in asdict(wanted).items() if getattr(found, name) != value]:
-        differences = ", ".join(
-            f"{name} {getattr(found, name)!r} (expected {getattr(wanted, name)!r})" for name in other
-        )
-        raise TrainingError(f"{config.initial_model}: its network has {differences} as configured")
+    found = replace(initial.network, **sizes)  # convolutions fit images of any size
+    pairs = ((name, getattr(found, name), value) for name, value in asdict(wanted).items())
+    if other := [f"{name} {has!r} (expected {value!r})" for name, has, value in pairs if has != value]:
+        raise TrainingError(f"{config.initial_model}: its network has {', '.join(other)} as configured")
     return initial
 
 
 def start(config: TrainConfig, box: SceneBox, poses: Poses, initial: Checkpoint | None) -> TrainingState:
-    """A network before its first step, its average, which is a copy, and its optimizer, on the configured device.
+    """The state before the first step, on the configured device.
 
     Args:
         config: Configuration of the training.
-        box: Box that cameras can be in.
+        box: Box of the camera positions.
         poses: world_from_camera of the training images, (n,), by which some regressors are initialised.
         initial: From `initial_model`.
 
     Raises:
-        VaporTrackError: weights of the backbone or the device are not there.
+        VaporTrackError: weights of the backbone or the device are missing.
     """
     device = resolve_device(config.device)
     with torch.random.fork_rng(devices=[]):
@@ -213,7 +196,7 @@ def start(config: TrainConfig, box: SceneBox, poses: Poses, initial: Checkpoint 
         load_pretrained(network, config.pretrained_weights)
     network.initialise(poses, log_variance=config.initial_log_variance)
     if initial is not None:
-        network.take_weights(initial.state_dict)
+        network.load_state_dict(dict(initial.state_dict))
     average.load_state_dict(network.state_dict())
     network, average = (
         n.to(device).to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
@@ -233,7 +216,7 @@ def parameter_groups(network: PoseRegressor, config: TrainConfig) -> list[dict[s
 
 
 class Saving:
-    """Saves a training's state after its epochs, of short ones not after each, which would slow the training down."""
+    """Saves a training's state after epochs; not after each where epochs are short, which would slow the training."""
 
     def __init__(self, path: Path, identity: Mapping[str, Any]) -> None:
         self._path, self._identity = path, identity
@@ -245,7 +228,7 @@ class Saving:
             load_state(self._path, state, self._identity)
 
     def save(self, state: TrainingState, *, last: bool = False) -> None:
-        """Write the state between two epochs; always the first one, and the last before a long stage."""
+        """Write the state between two epochs, unless it was written a short time ago; with `last` in any case."""
         begin_s = perf_counter()
         if last or begin_s >= self._next_s:
             save_state(self._path, state, self._identity)

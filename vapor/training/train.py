@@ -4,29 +4,23 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
-from copy import deepcopy
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, cast
-
-import numpy as np
 
 from sequences.frame import Frame
 from sequences.options import SequenceOptions
 from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.checkpoints.file_format import save_checkpoint
-from vapor.checkpoints.scene_scale import spaced
 from vapor.regressors.scene_box import SceneBox
 from vapor.training.config import TrainConfig
-from vapor.training.epoch import features_for
 from vapor.training.holding_out import hold_out, within_map
 from vapor.training.landmarks import find_landmarks
-from vapor.training.memory import remember
 from vapor.training.model_file import calibrate_and_check, model_checkpoint
 from vapor.training.processes import from_first, is_first, require_shares
 from vapor.training.progress import Progress, ProgressCallback, TrainResult
 from vapor.training.state import Saving, initial_model, share_state, start, state_path
-from vapor.training.trainer import Trainer, fitting_epochs, weights_of
+from vapor.training.trainer import Trainer, fitting_epochs
 from vapor.training_data.checks import require_variety, too_few
 from vapor.training_data.entries import open_sequences, require_no_leakage
 from vapor.training_data.load import load_training_set
@@ -45,13 +39,13 @@ def train(
     """Train on files and folders, and write the model.
 
     Args:
-        data: Anything that `posed_frames` reads; `PATH@START:STOP` takes those frames of it only.
+        data: Anything that `posed_frames` reads; `PATH@START:STOP` takes only those frames.
         output: The model file.
         config: Configuration.
-        validation: Held-out data, likewise, with no image of the former, of which those images count whose surroundings
-            training images show; without it passes over ground that others cover are held out, and no two of the data
-            may share images.
-        reading: Options of reading MCAP sequences, of both; None for all of them, as found.
+        validation: Held-out data, with no image of `data`. Images whose surroundings no training image shows are
+            ignored. Without it, passes over ground that others cover are held out, and no two entries of `data` may
+            share images.
+        reading: Options of reading MCAP sequences; None for the defaults.
         progress: Called after every image read and every step.
 
     Raises:
@@ -61,7 +55,7 @@ def train(
     """
     if validation or config.validation_fraction > 0:
         require_no_leakage(data, validation or None)
-    odometry = "optional" if config.calibrate else "unread"  # which nothing else asks for
+    odometry = "optional" if config.calibrate else "unread"  # only calibration needs it
     held_out = open_sequences(validation, reading, odometry)
     return train_on(open_sequences(data, reading, odometry), output, config, validation=held_out, progress=progress)
 
@@ -106,28 +100,17 @@ def train_on(
 
 
 def train_on_images(images: TrainingSet, names: Sequence[str], output: Path, config: TrainConfig) -> TrainResult:
-    """Train on images that were read before, for the configured frame size and crop; some are held out as configured.
+    """Train on images that were loaded before, for the configured frame size and crop; else as `train`.
 
-    `names` are those of the sequences, for the model file.
-
-    Raises:
-        TrainingError: unusable images or configuration, or a loss that is not finite.
-        CheckpointError: an interrupted training of another configuration.
+    `names` are the names of the sequences, for the model file.
     """
     initial = _checked_start(output, config)
-    (width, height), found = config.network.frame_size, images.images.shape[1:3]
-    central = config.augment.crop == "central"
-    if found != (height, width) if central else (found[0] < height or found[1] < width):
-        size, least = f"{found[1]} x {found[0]}", "" if central else "at least "
-        raise TrainingError(f"images are {size} pixels, expected {least}{width} x {height} as the network's frame")
-    if not 1 <= len(names) <= (count := len(np.unique(images.sequence))):
-        raise TrainingError(f"{len(names)} names of files and folders with {count} sequences, expected 1 to {count}")
     named = {"data": list(names), "validation_data": []}
     return _train(images, None, named, output, config, initial, lambda _: None)
 
 
 def _checked_start(output: Path, config: TrainConfig) -> Checkpoint | None:
-    """The model to start from, if any; raises errors that would otherwise come after hours of training."""
+    """The model to start from, if any; raises the errors that would otherwise come after hours of training."""
     if not output.parent.is_dir():
         raise TrainingError(f"{output}: cannot be written, expected the folder {output.parent} to exist")
     if output.is_dir():
@@ -154,60 +137,31 @@ def _train(
     training = split.training
     box = SceneBox.around(split.everything.poses)
     state = start(config, box.union(initial.box) if initial else box, training.poses, initial)
-    require_shares(min(config.batch_size, len(split.training)), pairs=config.loss.relative > 0.0)
-    evaluated = split.held_out.select(spaced(len(split.held_out), config.validation_images))
-    poses = zlib.crc32(split.training.poses.as_matrix().tobytes())
-    identity = {
-        **names,
-        "images": len(split.training),
-        "poses": poses,
-        "held_out": len(evaluated),
-        **_settings(config),
-    }
+    require_shares(min(config.batch_size, len(training)), pairs=config.loss.relative > 0.0)
+    evaluated = split.evaluated(config.validation_images)
+    poses = zlib.crc32(training.poses.as_matrix().tobytes())
+    identity = {**names, "images": len(training), "poses": poses, "held_out": len(evaluated), **_settings(config)}
     saving = Saving(state_path(output), identity)
     if config.resume and is_first():
         saving.resume(state)
     share_state(state)
     report(Progress("holding out", len(split.held_out), notes=tuple(split.notes)))
     state.epochs = state.epochs or config.epochs or from_first(fitting_epochs(state, split, len(evaluated), config))
-    trainer = Trainer(state, split, replace(config, epochs=state.epochs), report)
-
-    while state.epoch < state.epochs:
-        loss = trainer.epoch()
-        if is_first():
-            trainer.evaluate(evaluated, loss)
-            saving.save(state, last=state.epoch == state.epochs)
-    model, found, landmarks, of_landmarks = deepcopy(state.average), None, None, ()
-    features = features_for(state, split.training)
+    trainer = Trainer(state, split, replace(config, epochs=state.epochs), saving, report)
+    model, found, of_landmarks = trainer.learn(), None, ()
     if is_first():
-        model.load_state_dict(state.best or weights_of(trainer.kept))
-        remember(model, features)
         landmarks, of_landmarks = find_landmarks(
-            split.everything, config.camera, lambda *where: report(Progress("landmarks", *where, best=trainer.best))
+            split.everything, config.camera, lambda *where: report(Progress("landmarks", *where))
         )
-        found = calibrate_and_check(
-            model, split, evaluated, config, landmarks, lambda *where: report(Progress(*where, best=trainer.best))
-        )
+        found = calibrate_and_check(model, split, config, landmarks, lambda *where: report(Progress(*where)))
 
-    if trainer.goes_on and state.epoch == state.epochs:
-        for network in (state.network, state.average):
-            network.load_state_dict(model.state_dict())
-        share_state(state)
-    while state.epoch < trainer.epochs:
-        trainer.epoch()
-        if is_first():
-            saving.save(state)
-    learned = split.everything if trainer.goes_on else split.training
-    features = features_for(state, learned)
+    learned = trainer.finish(model)
     if found is None:
-        return from_first(cast(TrainResult, None))  # which the first process has
-    if trainer.goes_on:
-        model.load_state_dict(weights_of(trainer.kept))
-    remember(model, features)
+        return from_first(cast(TrainResult, None))  # the result is the first process'
     provenance = {
         **names,
         "training_images": len(learned),
-        "images_seen": trainer.images_seen(state.epoch),
+        "images_seen": trainer.images_seen,
         "seed": config.seed,
         "config": _settings(trainer.config),
         "selected_by": config.select_by if trainer.best else "last epoch",
@@ -215,7 +169,7 @@ def _train(
         "holding_out": list(split.notes),
         "landmarks": list(of_landmarks),
     }
-    checkpoint = model_checkpoint(model, learned, split, evaluated, found, config, provenance)
+    checkpoint = model_checkpoint(model, learned, split, found, config, provenance)
     save_checkpoint(output, checkpoint, store_float16=True)
     saving.remove()
     apart = split.held_out.images is not split.training.images
@@ -226,7 +180,7 @@ def _train(
             tuple(state.history),
             trainer.best,
             state.seconds,
-            trainer.images_seen(state.epoch),
+            trainer.images_seen,
             found.calibrated,
             found.check,
             skipped + split.held_out.skipped if apart else skipped,

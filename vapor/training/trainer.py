@@ -15,12 +15,13 @@ from vapor.checkpoints.calibration import Calibration
 from vapor.evaluation.validation import Validation, validate
 from vapor.regressors.base import PoseRegressor
 from vapor.training.config import TrainConfig
-from vapor.training.epoch import train_epoch
+from vapor.training.epoch import features_for, train_epoch
 from vapor.training.holding_out import Split
 from vapor.training.memory import VARIANTS, features_of, remember
+from vapor.training.processes import is_first
 from vapor.training.progress import Progress, ProgressCallback
 from vapor.training.schedule import evaluation_interval, finishing, step_cost, steps_in_epoch
-from vapor.training.state import TrainingState
+from vapor.training.state import Saving, TrainingState, share_state
 from vapor.training_data.training_set import TrainingSet
 
 _FEWEST = 4  # epochs
@@ -33,83 +34,101 @@ class Trainer:
 
     Attributes:
         state: Its state.
-        config: With its number of epochs.
-        goes_on: Whether there is more to learn from once the model was evaluated.
-        epochs: In all.
+        config: The configuration, with its number of epochs.
+        goes_on: Whether held-out images are learned from once the model was evaluated.
+        epochs: Number of epochs, with those after the evaluation.
         best: Figures of the best epoch so far.
     """
 
-    def __init__(self, state: TrainingState, split: Split, config: TrainConfig, report: ProgressCallback) -> None:
-        self.state, self.config = state, config
+    def __init__(
+        self, state: TrainingState, split: Split, config: TrainConfig, saving: Saving, report: ProgressCallback
+    ) -> None:
+        self.state, self.config, self._saving = state, config, saving
         more = len(split.everything) > len(split.training)
         self.goes_on = bool(split.held_out_mask.any()) and config.finish > 0 and more
         self.epochs = state.epochs + (finishing(config).known_epochs if self.goes_on else 0)
         self.best = best_epoch(state.history, config)
         self._split, self._report = split, report
-        self._per_step_s = 0.0  # of the last steps, had their images been whole
-        self._features: Tensor | None = None  # of the images to evaluate on, of a backbone that does not learn
+        self._features: Tensor | None = None  # of the held-out images, by a backbone that does not learn
 
     @property
-    def kept(self) -> PoseRegressor:
+    def images_seen(self) -> int:
+        """Number of images in the epochs so far."""
+        return sum(len(self._images(epoch)) for epoch in range(self.state.epoch))
+
+    def learn(self) -> PoseRegressor:
+        """Learn from images that are not held out; returns the best network, in the first process, to be evaluated."""
+        state, evaluated = self.state, self._split.evaluated(self.config.validation_images)
+        while state.epoch < state.epochs:
+            loss = self._epoch()
+            if is_first():
+                self._evaluate(evaluated, loss)
+                self._saving.save(state, last=state.epoch == state.epochs)
+        model, features = deepcopy(state.average), features_for(state, self._split.training)
+        if is_first():
+            model.load_state_dict(state.best or weights_of(self._kept))
+            remember(model, features)
+        return model
+
+    def finish(self, model: PoseRegressor) -> TrainingSet:
+        """Let an evaluated model learn from everything, if that is configured; returns the images it learned from."""
+        state, learned = self.state, self._split.everything if self.goes_on else self._split.training
+        if self.goes_on and state.epoch == state.epochs:
+            for network in (state.network, state.average):
+                network.load_state_dict(model.state_dict())
+            share_state(state)
+        while state.epoch < self.epochs:
+            self._epoch()
+            if is_first():
+                self._saving.save(state)
+        features = features_for(state, learned)
+        if is_first():
+            if self.goes_on:
+                model.load_state_dict(weights_of(self._kept))
+            remember(model, features)
+        return learned
+
+    @property
+    def _kept(self) -> PoseRegressor:
         """The network whose weights become the model's."""
         return self.state.average if self.config.ema_decay else self.state.network
 
-    def images_seen(self, epochs: int) -> int:
-        """Number of images seen when so many epochs were done."""
-        return sum(len(self._images(epoch)) for epoch in range(epochs))
-
-    def epoch(self) -> float:
+    def _epoch(self) -> float:
         """Learn from all images once; returns the mean loss."""
-        state, seconds_before, begin_s = self.state, self.state.seconds, perf_counter() - self.state.seconds
+        state, begin_s = self.state, perf_counter()
         finished = state.epoch >= state.epochs
         config, since = (finishing(self.config), state.epochs) if finished else (self.config, 0)
         steps = [steps_in_epoch(self._images(epoch), config) for epoch in range(self.epochs)]
-        costs = [step_cost(self.config, epoch) if epoch < state.epochs else 1.0 for epoch in range(self.epochs)]
-        before, cost = sum(steps[: state.epoch]), costs[state.epoch]
-        later = sum(count * each for count, each in list(zip(steps, costs, strict=True))[state.epoch + 1 :])
-        passes = 1 if state.features is not None else 2  # over all images: as they are, and as this epoch varies them
-        first_s = 0.0
+        before = sum(steps[: state.epoch])
 
-        def report(step: int, loss: float, rate: float) -> None:
-            nonlocal first_s
-            seconds, done = perf_counter() - begin_s, before + step
-            if step == 1:
-                first_s = seconds
-                self._per_step_s = self._per_step_s or seconds / done / cost
-            else:
-                self._per_step_s = (seconds - first_s) / (step - 1) / cost
-            left_s = self._per_step_s * (later + (steps[state.epoch] - step) * cost)
-            if state.features is not None:
-                left_s += (first_s - seconds_before) / passes * max(min(VARIANTS, state.epochs) - state.epoch - 1, 0)
-            self._report(
-                Progress(
-                    "training on everything" if finished else "training",
-                    done,
-                    sum(steps),
-                    epoch=state.epoch + 1,
-                    epochs=self.epochs,
-                    loss=loss,
-                    learning_rate=rate,
-                    seconds=seconds,
-                    left_s=left_s,
-                    validation=state.history[-1] if state.history else None,
-                    best=self.best,
-                )
+        def report(step: int, loss: float) -> None:
+            progress = Progress(
+                "training on everything" if finished else "training",
+                before + step,
+                sum(steps),
+                epoch=state.epoch + 1,
+                epochs=self.epochs,
+                loss=loss,
+                validation=state.history[-1] if state.history else None,
             )
+            self._report(progress)
 
         loss = train_epoch(state, self._images(state.epoch), config, report, since=since)
         state.epoch += 1
-        state.seconds = perf_counter() - begin_s
+        state.seconds += perf_counter() - begin_s
         return loss
 
-    def evaluate(self, held_out: TrainingSet, loss: float) -> None:
-        """Compare the weights with the best so far, now and then, not while images are small; mean loss as given."""
+    def _evaluate(self, held_out: TrainingSet, loss: float) -> None:
+        """Compare the weights with the best so far, except between two evaluations and while images are small.
+
+        `loss` is the mean loss of the epoch.
+        """
         state, config = self.state, self.config
         interval = evaluation_interval(len(self._split.training), len(held_out))
         small = step_cost(config, state.epoch - 1) < 1.0
         if not len(held_out) or small or (state.epoch % interval and state.epoch < state.epochs):
             return
-        kept = self.kept
+        kept = self._kept
         remember(kept, state.features)
         if self._features is None and kept.recalling is not None:
             self._features = features_of(kept.recalling, held_out)
@@ -134,26 +153,26 @@ class Trainer:
 
 
 def best_epoch(history: Sequence[Validation], config: TrainConfig) -> Validation | None:
-    """The best epoch so far, of equally good ones the last: at first none may be good at all."""
+    """The best epoch so far; of equally good ones the last, as the first ones may all have no image right."""
     return max(reversed(history), key=lambda figures: getattr(figures, config.select_by), default=None)
 
 
 def weights_of(network: PoseRegressor) -> dict[str, torch.Tensor]:
-    """Copies of its parameters and statistics on the CPU, by name."""
+    """Copies of a network's parameters and statistics on the CPU, by name."""
     return {name: value.detach().cpu().clone() for name, value in network.state_dict().items()}
 
 
 def fitting_epochs(state: TrainingState, split: Split, evaluated: int, config: TrainConfig) -> int:
     """Number of epochs that fit into the configured hours, evaluation and finishing included.
 
-    The state before the first step is left as it is. Epochs are evaluated on so many held-out images.
+    The state before the first step is left as it is. `evaluated` is the number of held-out images of an evaluation.
     """
     trial, training, most = deepcopy(state), split.training, config.most_epochs
     batch = min(config.batch_size, len(training))
     rows = np.resize(np.arange(len(training)), (_WARM_UP + _TIMED) * batch)
     stamps = [perf_counter()]
     once = replace(config, epochs=1, small_images_first=0.0)
-    train_epoch(trial, training.select(rows), once, lambda step, loss, rate: stamps.append(perf_counter()))
+    train_epoch(trial, training.select(rows), once, lambda step, loss: stamps.append(perf_counter()))
     per_image = float(np.median(np.diff(stamps[_WARM_UP:]))) / batch
     more = config.finish * len(split.everything) if len(split.everything) > len(training) else 0.0
     evaluation = _EVALUATION * evaluated / evaluation_interval(len(training), evaluated)
@@ -161,7 +180,7 @@ def fitting_epochs(state: TrainingState, split: Split, evaluated: int, config: T
     if trial.features is not None:  # twice of all images, once more for each way in which they are varied
         per_pass = (stamps[1] - stamps[0]) / (2 * len(rows))
         varied = np.minimum(epochs, VARIANTS)
-        extraction, evaluation = per_pass * len(split.everything) * (2 + varied), 0.0  # which is quick then
+        extraction, evaluation = per_pass * len(split.everything) * (2 + varied), 0.0  # evaluation is quick then
     spared = np.array([_spared(replace(config, epochs=n)) for n in range(1, most + 1)]) * len(training)
     seconds = extraction + per_image * (epochs * (len(training) + more + evaluation) - spared)
     return max(min(_FEWEST, most), int((seconds <= 3600.0 * config.hours).sum()))

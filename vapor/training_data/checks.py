@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 import cv2
 import numpy as np
@@ -22,10 +22,10 @@ _BLUISH, _MOST = -0.03, 0.8  # red less blue, over the brightness; and of the im
 
 
 def require_variety(images: TrainingSet) -> None:
-    """Refuse images from which nothing can be learned: of a camera that stands, or sees nothing, or is out of range.
+    """Refuse images from which nothing can be learned.
 
     Raises:
-        TrainingError: with the property that all of them share.
+        TrainingError: the camera does not move, all images are alike, or positions are too far from zero.
     """
     poses, few = images.poses, np.linspace(0, len(images) - 1, min(len(images), _COMPARED)).astype(int)
     moved_m, turned = poses.distance(poses[[0]])
@@ -42,26 +42,26 @@ def require_variety(images: TrainingSet) -> None:
     )
     if len(images) > 1 and looks.astype(float).std(axis=0).max() < 1.0:
         raise TrainingError(
-            f"all {len(images)} images are alike, to within a level of grey, expected those of a camera that sees where"
-            " it is"
+            f"all {len(images)} images are alike, to within a level of grey, expected images that show where the"
+            " camera is"
         )
     step_m = float(np.spacing(np.float32(np.abs(poses.translation).max())))
     if step_m > _COARSEST_M:
         raise TrainingError(
-            f"positions up to {np.abs(poses.translation).max():.3g} m from zero, of which float32 keeps {step_m:.2g} m"
-            " only, expected coordinates near zero: --ground-truth-origin takes a point off"
+            f"positions up to {np.abs(poses.translation).max():.3g} m from zero, rounded to {step_m:.2g} m in float32,"
+            " expected coordinates near zero: --ground-truth-origin takes a point off"
         )
 
 
 def too_few(images: TrainingSet) -> list[str]:
-    """A notice on too few images to learn a place from; nothing where there are enough."""
+    """A notice where there are too few images to learn a place from."""
     if len(images) >= _FEW:
         return []
     return [f"{len(images)} images to learn from: a place takes hundreds, along every path that will be walked"]
 
 
 def too_far(poses: Poses) -> list[str]:
-    """A notice on positions so far from zero that float32 rounds them noticeably; nothing where there are none."""
+    """A notice on positions so far from zero that float32 rounds them noticeably."""
     furthest_m = float(np.abs(poses.translation).max())
     if furthest_m < _FAR_M:
         return []
@@ -73,14 +73,14 @@ def too_far(poses: Poses) -> list[str]:
 
 
 class Colours:
-    """Which colours a recording has."""
+    """A histogram of the colours of a recording."""
 
     def __init__(self) -> None:
         self._counts = np.zeros((_BINS, _BINS))
         self._bluish = self._images = 0
 
     def take(self, image: UInt8[np.ndarray, "h w 3"]) -> None:
-        """The next RGB image."""
+        """Add an RGB image."""
         small = np.asarray(cv2.resize(image, (_SIDE_PX, _SIDE_PX), interpolation=cv2.INTER_AREA), np.float64)
         red, green, blue = small.reshape(-1, 3).T
         total = red + green + blue + 1.0
@@ -92,19 +92,19 @@ class Colours:
 
     @property
     def share(self) -> Float64[np.ndarray, "bins bins"]:
-        """Of each colour; red and blue are swapped in its transpose."""
+        """The fraction of each colour; the transpose has red and blue swapped."""
         return self._counts / max(self._counts.sum(), 1.0)
 
     @property
     def are_bluish(self) -> bool:
-        """Whether nearly all images have more blue than red, as lamps, wood and skin make them seldom."""
+        """Whether nearly all images have more blue than red, which lamps, wood and skin seldom give."""
         return self._bluish > _MOST * self._images
 
 
 def said_of_colours(recordings: Mapping[str, Colours]) -> list[str]:
-    """Notices on recordings that have red and blue swapped, or seem to; nothing where none has.
+    """Notices on recordings whose red and blue are swapped, or seem to be.
 
-    Of several, one whose colours are the others' only when swapped; all of them where they are bluish.
+    The colours of such a recording fit the others only when swapped; or all recordings are bluish.
     """
     shares = {name: colours.share for name, colours in recordings.items()}
     found = []
@@ -118,15 +118,10 @@ def said_of_colours(recordings: Mapping[str, Colours]) -> list[str]:
             f"{_listed(recordings)}: more blue than red in nearly all images, as few places have it: see whether these"
             " are swapped (BGR that is labelled RGB)"
         ] * all(colours.are_bluish for colours in recordings.values())
-    if 2 * len(found) >= len(shares):
-        return [
-            f"{_listed(shares)} do not have the same colours: red and blue of some are swapped (BGR that is labelled"
-            " RGB, or the reverse), or their white balance is another"
-        ]
+    names, some = (shares, " in some of these recordings") if 2 * len(found) >= len(shares) else (found, "")
     return [
-        f"{name}: red and blue are swapped, beside the other recordings (BGR that is labelled RGB, or the reverse),"
-        " or its white balance is another"
-        for name in found
+        f"{_listed(names)}: red and blue are swapped{some}, beside the other recordings (BGR that is labelled RGB, or"
+        " the reverse), or their white balance differs"
     ]
 
 
@@ -135,6 +130,6 @@ def _apart(a: np.ndarray, b: np.ndarray) -> float:
     return 1.0 - float(np.sum(np.sqrt(a * b)))
 
 
-def _listed(names: Mapping[str, object]) -> str:
+def _listed(names: Collection[str]) -> str:
     first = list(names)[:3]
     return f"{', '.join(first)}{', ...' if len(names) > len(first) else ''}"

@@ -23,7 +23,7 @@ from vapor.training_data.training_set import TrainingError
 def open_sequences(
     data: Sequence[Path | str], reading: SequenceOptions | None = None, odometry: OdometryUse = "optional"
 ) -> dict[str, Iterable[Frame]]:
-    """Frames of each `PATH` or `PATH@START:STOP`, by a name without its folder, with or without their odometry.
+    """Frames of each `PATH` or `PATH@START:STOP`, by a name without its folder.
 
     Raises:
         TrainingError: the text after the @ is not a range.
@@ -50,7 +50,7 @@ def name_entries(data: Sequence[Path | str]) -> dict[str, tuple[Path, slice]]:
 
 
 def parse_entry(entry: Path | str) -> tuple[Path, slice]:
-    """Path and frames of `PATH` or `PATH@START:STOP`; a URL is copied, and the path is that of its copy.
+    """Path and frames of `PATH` or `PATH@START:STOP`; a URL is copied, and the path is its copy.
 
     Raises:
         TrainingError: the text after the @ is not a range.
@@ -66,7 +66,7 @@ def parse_entry(entry: Path | str) -> tuple[Path, slice]:
 
 
 def files_read(data: Sequence[Path | str], reading: SequenceOptions | None = None) -> Iterator[Path]:
-    """Files and folders that `PATH`s and `PATH@START:STOP`s are read from; an output must be none of these.
+    """Files and folders that the data are read from; an output must not be one of these.
 
     Raises:
         TrainingError: the text after an @ is not a range.
@@ -100,13 +100,13 @@ def require_no_leakage(data: Sequence[Path | str], held_out: Sequence[Path | str
 
 
 def _source(entry: Path | str) -> tuple[Path, slice]:
-    """Where `PATH` or `PATH@START:STOP` lies once links are followed, and which frames of it."""
+    """The resolved path, and the frames, of `PATH` or `PATH@START:STOP`."""
     path, frames = parse_entry(entry)
     return path.resolve(), frames
 
 
 def _files(entry: Path | str) -> set[ImageFile]:
-    """Image files of `PATH` or `PATH@START:STOP`; of a recording all files that it is made of, for any frames."""
+    """Image files of `PATH` or `PATH@START:STOP`; of a recording all its files, for any frames."""
     path, frames = parse_entry(entry)
     files = bag_files(path) if is_recording(path) else list_images(path)[frames].files
     return {file.resolve() for file in files}

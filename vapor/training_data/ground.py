@@ -15,25 +15,20 @@ from vapor.training_data.training_set import TrainingSet
 
 DIRECTION_RAD = float(np.deg2rad(45.0))
 FARTHEST = 0.15
-"""What counts as near, in typical sides of the scene, at most."""
+"""Greatest distance that counts as near, in typical sides of the scene."""
 _CHORD = 2.0 * np.sin(DIRECTION_RAD / 2.0)
-_NEAREST = 1 / 3  # of that, at least
-_GIVEN = 2.0  # times as far counts as near for data that are stated to be of the place
-_USUAL = 4.0  # times the distance to the nearest image of another pass, which a quarter of the images do not exceed
-_LOOKED_AT = 8  # of the nearest
+_NEAREST = 1 / 3  # least distance that counts as near, in greatest ones
+_GIVEN = 2.0  # factor of the distance for data that are stated to be of the place
+_USUAL = 4.0  # distance that counts as near, in lower quartiles of the distance to the nearest image of another pass
+_LOOKED_AT = 8  # nearest images that are compared
 _NAMED_RUNS = 3
-_LEAST_UNSHOWN = 0.05  # fraction of a run's images that no training image shows, from which on there is a notice
+_LEAST_UNSHOWN = 0.05  # least fraction of unshown images of a run for a notice
 RUN_IMAGES = 10
 _BREAK_S, _BREAK_STEPS = 1.0, 3.0
 
 
 def describe_unshown(poses: Poses, training: Poses) -> str | None:
-    """A notice on a run over ground that training images do not show; None where they show it.
-
-    Args:
-        poses: Of the images of the run, as found, (n,).
-        training: Of the training images, (m,).
-    """
+    """A notice on a run, of estimated poses (n,), over ground that training images, of poses (m,), do not show."""
     shown, near_m = shown_around(poses, training)
     if (fraction := float((~shown).mean())) < _LEAST_UNSHOWN:
         return None
@@ -46,7 +41,7 @@ def describe_unshown(poses: Poses, training: Poses) -> str | None:
 
 
 def shown_around(poses: Poses, training: Poses) -> tuple[Bool[np.ndarray, " n"], float]:
-    """Whether training images (m,) show the surroundings of poses (n,), and the distance, metres, that is near."""
+    """Whether training images (m,) show the surroundings of poses (n,), and the distance that is near, metres."""
     farthest_m = _GIVEN * FARTHEST * typical_side_m(training)
     distances_m = nearest_m(poses, training, farthest_m)
     near_m = near_m_of(distances_m, farthest_m)
@@ -59,16 +54,16 @@ def near_scale_m(poses: Poses) -> float:
 
 
 def near_m_of(distances_m: Float64[np.ndarray, " n"], farthest_m: float) -> float:
-    """Distance that counts as near, by the distances of the nearest images of other passes; `farthest_m` at most."""
+    """Distance that counts as near, from the distances of the nearest images of other passes; at most `farthest_m`."""
     found = distances_m[distances_m <= farthest_m]
     usual = float(np.quantile(found, 0.25)) if len(found) else np.inf
     return float(np.clip(_USUAL * usual, _NEAREST * farthest_m, farthest_m))
 
 
 def nearest_m(poses: Poses, others: Poses, scale_m: float) -> Float64[np.ndarray, " n"]:
-    """Distance, metres, of the nearest of the others (m,) that looks the same way as each pose (n,); or infinity.
+    """Distance, metres, from each pose (n,) to the nearest of the others (m,) in the same direction, or infinity.
 
-    A distance of `scale_m` is as different as 45°.
+    A distance of `scale_m` counts as much as 45°.
     """
     if not len(poses) or not len(others):
         return np.full(len(poses), np.inf)
@@ -96,9 +91,9 @@ def describe_runs(found: Sequence[slice], first: int) -> str:
 
 
 def pass_numbers(images: TrainingSet) -> Int64[np.ndarray, " n"]:
-    """The number of the pass that each image is from, increasing.
+    """The number of the pass of each image, increasing.
 
-    A new one begins with every sequence, and after a gap of more than a second and three times the usual one.
+    A pass begins with every sequence, and after a gap of more than a second and three usual intervals.
     """
     steps_s = np.diff(images.times_ns, prepend=images.times_ns[:1]) * 1e-9
     begins = np.diff(images.sequence, prepend=images.sequence[:1] - 1) != 0
@@ -110,9 +105,9 @@ def pass_numbers(images: TrainingSet) -> Int64[np.ndarray, " n"]:
 
 
 def some_runs(count: int, limit: int) -> Int64[np.ndarray, " k"]:
-    """Indices of at most `limit` of `count` images, in runs of ten evenly spaced ones.
+    """Indices of at most `limit` of `count` images, in evenly spaced runs of ten.
 
-    Consecutive images show how long errors last, and images from all over the scene how large they are.
+    Consecutive images show the correlation of errors, and images from all over the scene their size.
     """
     if count <= limit:
         return np.arange(count)

@@ -6,7 +6,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import IO
+from typing import IO, NamedTuple
 
 import numpy as np
 from jaxtyping import UInt8
@@ -24,7 +24,7 @@ from vapor.training_data.checks import Colours, said_of_colours, too_far
 from vapor.training_data.training_set import TrainingError, TrainingSet
 from vapor.training_data.views import Views, said_of_views
 
-_MOST_CAMERAS = 3  # that are named
+_MOST_CAMERAS = 3  # in a notice
 _USUAL_FOCAL = 0.8  # of the longer edge, where no focal length is stated: about 64° wide
 
 
@@ -41,26 +41,22 @@ def load_training_set(
     """Read frames once, scale each image to cover a frame, and keep it in a temporary file.
 
     Args:
-        sequences: Frames by the name of their file or folder; frames without a pose are left out.
-        frame_size: Width and height of that frame, pixels, or a function of the camera's width and height.
-        central: Keep the part of the middle that fills the frame, so that images may differ in size; else keep the
-            whole image, and all must have the aspect ratio of the first.
-        camera: The camera that images with known intrinsics are resampled to; None for that of most images.
-        views: Keep them grey and larger, too, for landmarks.
-        view_camera: The camera of these; None for that of most images.
+        sequences: Frames by the name of their file or folder; frames without a pose are skipped.
+        frame_size: Width and height of the frame, pixels, or a function of the camera's width and height.
+        central: Keep the middle that fills the frame, so that images may differ in size; else keep whole images, which
+            must all have the aspect ratio of the first one.
+        camera: The camera to which images with known intrinsics are resampled; None for the camera of most images.
+        views: Keep grey and larger images, too, for landmarks.
+        view_camera: The camera of these; None for the camera of most images.
         progress: Called with the number of images read so far.
 
     Raises:
         TrainingError: a sequence without posed frames, a pose that is not finite, or images of different aspect.
     """
-    matrices: list[np.ndarray] = []
-    sources: list[tuple[int, int]] = []
+    rows: list[_Row] = []
     skipped: Counter[str] = Counter()
     notices: list[str] = []
-    times_ns: list[int] = []
-    odometry: list[Odometry | None] = []
     colours: dict[str, Colours] = {}
-    points: list[SeenPoints | None] = []
     shape: tuple[int, ...] | None = None
     camera = camera or _commonest_camera(sequences)
     camera_size = (camera.width, camera.height) if camera else None
@@ -69,7 +65,7 @@ def load_training_set(
         grey = GreyViews(view_camera or camera, grey_file) if views else None
         for index, (name, frames) in enumerate(sequences.items()):
             follows = False
-            num_before, agreeing = len(sources), Views()
+            num_before, agreeing = len(rows), Views()
             given = frames.seen_points() if views and isinstance(frames, PosedFrames) else {}
             colours[name] = Colours()
             for frame in frames:
@@ -85,7 +81,7 @@ def load_training_set(
                 image = centre_crop(image, *as_taken.frame_size) if central else image
                 shape = shape or image.shape
                 if image.shape != shape:
-                    number = len(sources) - num_before + 1
+                    number = len(rows) - num_before + 1
                     raise TrainingError(
                         f"{name}: image {number}, at {frame.time_ns} ns, is {image.shape[1]} x {image.shape[0]} after"
                         f" scaling, expected {shape[1]} x {shape[0]} as the first (or augment.crop central)"
@@ -97,14 +93,12 @@ def load_training_set(
                 if grey is not None:
                     grey.take(frame)
                 of_image = given.pop(frame.time_ns, None) if frame.camera is not None else None
-                points.append(of_image and replace(of_image, point=of_image.point + index * POINTS_OF_A_MODEL))
-                matrices.append(frame.world_from_camera.as_matrix())
-                sources.append((index, frame.sequence))
-                times_ns.append(frame.time_ns)
-                odometry.append(frame.odometry if follows else None)
+                points = of_image and replace(of_image, point=of_image.point + index * POINTS_OF_A_MODEL)
+                step = frame.odometry if follows else None
+                rows.append(_Row((index, frame.sequence), frame.time_ns, frame.world_from_camera, step, points))
                 follows = True
-                progress(len(sources))
-            if len(sources) == num_before:
+                progress(len(rows))
+            if len(rows) == num_before:
                 raise TrainingError(f"{name}: no image with a true pose, expected at least one")
             if isinstance(frames, PosedFrames):
                 skipped += frames.skipped
@@ -113,32 +107,41 @@ def load_training_set(
         if shape is None or camera_size is None or as_taken is None:
             raise TrainingError("no training data, expected at least one sequence")
         file.flush()
-        images = np.memmap(file, np.uint8, mode="r", shape=(len(sources), *shape))
+        images = np.memmap(file, np.uint8, mode="r", shape=(len(rows), *shape))
         kept, view_camera = (grey.kept(), grey.camera) if grey else (np.zeros((0, 1, 1), np.uint8), None)
-    poses = Poses.from_matrix(np.stack(matrices))
+    sources, points = [row.source for row in rows], tuple(row.points for row in rows)
+    poses = Poses.stack([row.pose for row in rows])
     notices += said_of_colours(colours)
     notices += [*_of_cameras(as_taken, len(sources)), *too_far(poses)]
     begins = np.any(np.diff(np.array(sources), axis=0, prepend=[sources[0]]) != 0, axis=1)
     return TrainingSet(
         images,
-        np.arange(len(sources)),
+        np.arange(len(rows)),
         poses,
         np.cumsum(begins),
         _sequence_names(list(sequences), [sources[i] for i in [0, *np.flatnonzero(begins)]]),
         camera_size,
-        np.array(times_ns, np.int64),
-        tuple(odometry),
+        np.array([row.time_ns for row in rows], np.int64),
+        tuple(row.odometry for row in rows),
         skipped,
         tuple(notices),
         as_taken.camera,
         kept,
         view_camera,
-        tuple(points) if any(points) else (),
+        points if any(points) else (),
     )
 
 
+class _Row(NamedTuple):
+    source: tuple[int, int]  # numbers of the file or folder, and of the sequence in it
+    time_ns: int
+    pose: Poses
+    odometry: Odometry | None
+    points: SeenPoints | None
+
+
 def _commonest_camera(sequences: Mapping[str, Iterable[Frame]]) -> Camera | None:
-    """The camera of most images, as far as that is known before they are read."""
+    """The camera of most images, as far as cameras are known before reading."""
     cameras: Counter[Camera] = Counter()
     for frames in sequences.values():
         if isinstance(frames, PosedFrames):
@@ -163,22 +166,22 @@ def _of_cameras(as_taken: AsTakenBy, total: int) -> list[str]:
 
 
 def _sequence_names(names: Sequence[str], begun: Sequence[tuple[int, int]]) -> tuple[str, ...]:
-    """Names of sequences, each given by the number of its file or folder and its own, where there are several."""
+    """Names of sequences, given by the number of their file or folder and their number in it."""
     several = {file for file, count in Counter(file for file, _ in begun).items() if count > 1}
     return tuple(f"{names[file]}, sequence {number + 1}" if file in several else names[file] for file, number in begun)
 
 
 class GreyViews:
-    """Takes images one by one; `camera` is that of most of them, or a guess by the size of the first."""
+    """Grey images for landmarks, in a file; `camera` is the given one, or a guess by the size of the first image."""
 
     def __init__(self, camera: Camera | None, file: IO[bytes]) -> None:
-        """Set up for images of a camera, None where unknown, which are kept in a file."""
+        """Keep images of a camera, None where unknown, in a file."""
         self.camera = None if camera is None else shrunk(camera)
         self._as_taken: AsTakenBy | None = None
         self._file, self._count = file, 0
 
     def take(self, frame: Frame) -> None:
-        """Keep an image."""
+        """Add an image."""
         if self.camera is None:
             self.camera = shrunk(usual_camera(frame.image.shape[1], frame.image.shape[0]))
         if self._as_taken is None:
@@ -194,7 +197,7 @@ class GreyViews:
 
 
 def usual_camera(width: int, height: int) -> Camera:
-    """A guess at the camera of images of so many pixels, of which nothing is stated."""
+    """A guess at the camera of images of this size, pixels, without stated intrinsics."""
     focal = _USUAL_FOCAL * max(width, height)
     return Camera(width, height, focal, focal, 0.5 * (width - 1), 0.5 * (height - 1))
 

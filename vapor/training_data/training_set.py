@@ -22,23 +22,23 @@ class TrainingError(VaporTrackError):
 
 @dataclass(frozen=True)
 class TrainingSet:
-    """Scaled images with their poses.
+    """n scaled images with their poses, a selection of the m images that were read.
 
     Attributes:
-        images: RGB of one size, scaled: all that were read, of which these may be only some; memory-mapped.
-        rows: Index in `images` of each of these, (n,).
+        images: All m images that were read, RGB of one size, memory-mapped.
+        rows: Index in `images` of each selected image, (n,).
         poses: world_from_camera, batch (n,).
         sequence: Index of the sequence of each image; images of one sequence lie together, in its order.
         names: File or folder of each sequence, by that index.
-        camera_size: Width and height of the camera's images, pixels: of the first image where no camera is known.
+        camera_size: Width and height of the camera's images, pixels; of the first image where no camera is known.
         times_ns: Stamps of the images, integer nanoseconds, (n,).
-        odometry: Motion since the image before, n of them; None where that image is not here, or none was recorded.
-        skipped: Images and poses of the data that were left out in reading, by reason.
+        odometry: Motion since the previous image of the recording; None where unknown or not selected.
+        skipped: Number of images and poses that were skipped in reading, by reason.
         notices: Facts about the data for the user.
         camera: The camera that took the images, or to which they were resampled; None where unknown.
-        views: The same images grey and larger, in which landmarks are found, memory-mapped; none if not asked for.
-        view_camera: Their camera as stated; where none is, with a guessed focal length.
-        seen_points: Points of a reconstruction that each of `images` shows, m of them; none where the data have none.
+        views: The m images, grey and larger, for landmarks, memory-mapped; empty if not requested.
+        view_camera: The stated camera of `views`; where none is stated, with a guessed focal length.
+        seen_points: Points of a reconstruction that each of the m images shows; empty without a reconstruction.
     """
 
     images: UInt8[np.ndarray, "m h w 3"]
@@ -66,7 +66,7 @@ class TrainingSet:
                 mapped.base.madvise(mmap.MADV_DONTNEED)
 
     def select(self, indices: Int64[np.ndarray, " k"]) -> TrainingSet:
-        """Some of the images, (k,), in increasing order; none of them is copied."""
+        """The images with these indices, (k,), in increasing order, without copying any."""
         follows = np.diff(indices, prepend=-2) == 1
         return replace(
             self,

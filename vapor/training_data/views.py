@@ -1,10 +1,11 @@
-"""Comparison of the motion in images with that of poses: orientation, mirroring and focal length."""
+"""Comparison of the motion in images with the motion of poses: orientation, mirroring and focal length."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Final, Literal, NamedTuple
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final, Literal
 
 import cv2
 import numpy as np
@@ -33,10 +34,10 @@ _IMAGES = {
     "the images are upside down": [[-1, 0], [0, -1]],
     "the images are turned by 90° to the right": [[0, 1], [-1, 0]],
     "the images are turned by 90° to the left": [[0, -1], [1, 0]],
-    "the images are mirrored": [[-1, 0], [0, 1]],
-    "the images are mirrored and upside down": [[1, 0], [0, -1]],
-    "the images are mirrored and turned by 90° to the right": [[0, -1], [-1, 0]],
-    "the images are mirrored and turned by 90° to the left": [[0, 1], [1, 0]],
+    "the images are mirrored or the poses left-handed": [[-1, 0], [0, 1]],
+    "the images are mirrored and upside down or the poses left-handed": [[1, 0], [0, -1]],
+    "the images are mirrored and turned by 90° to the right or the poses left-handed": [[0, -1], [-1, 0]],
+    "the images are mirrored and turned by 90° to the left or the poses left-handed": [[0, 1], [1, 0]],
 }
 _POSES = {
     "the poses have OpenGL's axes (y up, z back) instead of the camera's": np.diag([1.0, -1.0, -1.0]),
@@ -58,11 +59,10 @@ class ViewCheck:
         by: Source of the poses.
         pairs: Pairs of images compared.
         residual: Median distance of image points from their expected places, in focal lengths.
-        orientations: Keys of `ORIENTATIONS` with which the images fit the poses about equally well, the best first.
-            None where images and poses do not agree whichever way they are turned.
-        residual_turned: With the best of all orientations.
-        focal: The focal length over the stated one, where that is clearly another; None where it is not, or none is
-            stated.
+        orientations: Keys of `ORIENTATIONS` with which the images fit the poses about equally well, the best first;
+            empty where the images fit with no orientation.
+        residual_turned: The same distance with the best orientation.
+        focal: The focal length over the stated one where it clearly differs, else None.
     """
 
     by: By
@@ -86,7 +86,6 @@ class Views:
         self._every_s, self._earliest_s, self._sequence = 0.0, -np.inf, 0
         self._first: _View | None = None
         self._by_odometry = Poses.identity()
-        self._sift: cv2.SIFT = cv2.SIFT.create(_FEATURES)
 
     def take(self, frame: Frame) -> None:
         """The next frame."""
@@ -94,10 +93,10 @@ class Views:
         if first is not None and frame.sequence != self._sequence:
             first, step, self._earliest_s = None, None, -np.inf
         if step is None:  # odometry does not connect this frame with the one before
-            self._by_odometry, first = Poses.identity(), None if first is None else first._replace(odometry=None)
+            self._by_odometry, first = Poses.identity(), None if first is None else replace(first, odometry=None)
         else:
             self._by_odometry = self._by_odometry @ step.previous_from_current
-        view = _View(frame.time_ns, frame.image, frame.camera, frame.world_from_camera, self._by_odometry, [])
+        view = _View(frame.time_ns, frame.image, frame.camera, frame.world_from_camera, self._by_odometry)
         self._first, self._sequence = view, frame.sequence
         if first is not None and first.truth is not None and step is None and view.truth is None:
             self._first = first  # a later image may have a true pose again
@@ -110,7 +109,7 @@ class Views:
         if max(radians / _TURNS_RAD, metres / _MOVES_M) < 1:
             self._first = first
         elif radians < _TURNS_TOO_FAR_RAD and view.time_ns * 1e-9 >= self._earliest_s:
-            self._add(self._pair(first, view, motions), view.time_ns * 1e-9)
+            self._add(_pair(first, view, motions), view.time_ns * 1e-9)
 
     def checks(self) -> list[ViewCheck]:
         """By true poses and by odometry, where there are enough pairs of images."""
@@ -130,44 +129,19 @@ class Views:
             self.pairs, self._every_s = self.pairs[::2], 2 * max(self._every_s, 0.5)
         self._earliest_s = second + self._every_s
 
-    def _pair(self, first: _View, second: _View, motions: Mapping[By, Poses]) -> Pair | None:
-        features = [view.features(self._sift) for view in (first, second)]
-        (_, one), (_, other) = features
-        if min(len(one), len(other)) < _LEAST_MATCHES:
-            return None
-        matcher = cv2.BFMatcher(cv2.NORM_L2)
-        there, back = (
-            {
-                near.queryIdx: near.trainIdx
-                for near, *others in matcher.knnMatch(a, b, 2)
-                if others and near.distance < _RATIO * others[0].distance
-            }
-            for a, b in ((one, other), (other, one))
-        )
-        matches = np.array([(i, j) for i, j in there.items() if back.get(j) == i]).reshape(-1, 2)
-        if len(matches) < _LEAST_MATCHES:
-            return None
-        return Pair(
-            (first.time_ns, second.time_ns),
-            features[0][0][matches[:, 0]],
-            features[1][0][matches[:, 1]],
-            motions,
-            first.camera is not None,
-        )
 
-
-class _View(NamedTuple):
-    """An image that may become one of a pair."""
+@dataclass(frozen=True)
+class _View:
+    """An image that may become one of a pair, and its poses."""
 
     time_ns: int
     image: UInt8[np.ndarray, "h w 3"]
     camera: Camera | None
     truth: Poses | None
     odometry: Poses | None
-    kept: list[tuple[np.ndarray, np.ndarray]]
 
     def motions_to(self, other: _View) -> dict[By, Poses]:
-        """second_from_first by all whose poses both have."""
+        """second_from_first by each source that gives poses of both."""
         found: dict[By, Poses] = {}
         if self.truth is not None and other.truth is not None:
             found["true poses"] = other.truth.inverse() @ self.truth
@@ -175,26 +149,22 @@ class _View(NamedTuple):
             found["odometry"] = other.odometry.inverse() @ self.odometry
         return found
 
-    def features(self, sift: cv2.SIFT) -> tuple[np.ndarray, np.ndarray]:
+    @cached_property
+    def features(self) -> tuple[np.ndarray, np.ndarray]:
         """Directions (n, 2), in focal lengths from the middle, and descriptors (n, 128)."""
-        if not self.kept:
-            height, width = self.image.shape[:2]
-            small = _WIDTH_PX, max(round(height * _WIDTH_PX / width), 1)
-            grey = cv2.cvtColor(cv2.resize(self.image, small, interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2GRAY)
-            focal = _USUAL_FOCAL * small[0]
-            camera = self.camera or Camera(*small, focal, focal, (small[0] - 1) / 2, (small[1] - 1) / 2)
-            if (camera.width < camera.height) != (width < height):  # it was turned, and its intrinsics were not
-                camera = Camera(camera.height, camera.width, camera.fy, camera.fx, camera.cy, camera.cx)
-            camera = camera.scaled(*small)
-            points, descriptors = sift.detectAndCompute(np.asarray(grey), None)  # pyright: ignore[reportCallIssue, reportArgumentType]
-            at = np.array([point.pt for point in points]).reshape(-1, 2)
-            self.kept.append(
-                (
-                    (at - (camera.cx, camera.cy)) / (camera.fx, camera.fy),
-                    np.zeros((0, 128), np.float32) if descriptors is None else descriptors,
-                )
-            )
-        return self.kept[0]
+        height, width = self.image.shape[:2]
+        small = _WIDTH_PX, max(round(height * _WIDTH_PX / width), 1)
+        grey = cv2.cvtColor(cv2.resize(self.image, small, interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2GRAY)
+        focal = _USUAL_FOCAL * small[0]
+        camera = self.camera or Camera(*small, focal, focal, (small[0] - 1) / 2, (small[1] - 1) / 2)
+        if (camera.width < camera.height) != (width < height):  # it was turned, and its intrinsics were not
+            camera = Camera(camera.height, camera.width, camera.fy, camera.fx, camera.cy, camera.cx)
+        camera = camera.scaled(*small)
+        sift: cv2.SIFT = cv2.SIFT.create(_FEATURES)
+        points, descriptors = sift.detectAndCompute(np.asarray(grey), None)  # pyright: ignore[reportCallIssue, reportArgumentType]
+        at = np.array([point.pt for point in points]).reshape(-1, 2)
+        directions = (at - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
+        return directions, np.zeros((0, 128), np.float32) if descriptors is None else descriptors
 
 
 @dataclass(frozen=True)
@@ -216,6 +186,27 @@ class Pair:
     known_focal: bool
 
 
+def _pair(first: _View, second: _View, motions: Mapping[By, Poses]) -> Pair | None:
+    """The matches of two images; None where there are too few."""
+    (at_first, one), (at_second, other) = first.features, second.features
+    if min(len(one), len(other)) < _LEAST_MATCHES:
+        return None
+    matcher = cv2.BFMatcher(cv2.NORM_L2)
+    there, back = (
+        {
+            near.queryIdx: near.trainIdx
+            for near, *others in matcher.knnMatch(a, b, 2)
+            if others and near.distance < _RATIO * others[0].distance
+        }
+        for a, b in ((one, other), (other, one))
+    )
+    matches = np.array([(i, j) for i, j in there.items() if back.get(j) == i]).reshape(-1, 2)
+    if len(matches) < _LEAST_MATCHES:
+        return None
+    stamps = first.time_ns, second.time_ns
+    return Pair(stamps, at_first[matches[:, 0]], at_second[matches[:, 1]], motions, first.camera is not None)
+
+
 class Residuals:
     """Distances of the points that pairs of images share from their expected places, for all pairs at once."""
 
@@ -234,8 +225,8 @@ class Residuals:
 
         Args:
             motions: second_from_first, (p,).
-            turn: Carries directions in an image to the axes of these; None for none.
-            focal: The focal length over that by which directions were found.
+            turn: Carries directions in an image to the axes of the motions; None for the identity.
+            focal: The focal length over the one by which directions were found.
         """
         turn = np.eye(3) if turn is None else turn
         first, second = self._seen / focal
@@ -288,50 +279,31 @@ def said_of_views(name: str, checks: Sequence[ViewCheck]) -> list[str]:
     turned = [check for check in checks if check.orientations and not check.is_right]
     apart = [check for check in checks if not check.orientations]
     notices = []
+    agree = f", while {right[0].by} and images agree" if right else ""
     if turned:
-        notices.append(f"{name}: {_what_is_turned(turned, right)}")
-    if apart:
-        others = f", while {right[0].by} and images agree" if right else ""
+        worst = turned[0]
+        shared = [o for o in worst.orientations if all(o in check.orientations for check in turned)]
         notices.append(
-            f"{name}: images do not move like {_by(apart)}, whichever way they are"
-            f" turned ({np.degrees(apart[0].residual_turned):.1f}° off){others}: are these of one recording, by one"
+            f"{name}: {' or '.join(shared or worst.orientations)}, as images move against {_by(turned)}{agree}"
+            f" ({np.degrees(worst.residual_turned):.1f}° off so, {np.degrees(worst.residual):.1f}° as stated): correct"
+            " images, poses or where the camera sits (tf, --base-from-camera)"
+        )
+    if apart:
+        notices.append(
+            f"{name}: images do not move like {_by(apart)}, whichever way they are turned"
+            f" ({np.degrees(apart[0].residual_turned):.1f}° off){agree}: are these of one recording, by one"
             " clock, and of this camera?"
         )
-    focals = {check.by: check.focal for check in checks if check.orientations}
-    focal = focals.get("true poses", focals.get("odometry"))
-    if focal is not None:
-        other = " or odometry has turns too large or too small" if "true poses" not in focals else ""
+    for check in [check for check in checks if check.focal is not None][:1]:
+        odometry = "" if check.by == "true poses" else ", or odometry has turns too large or too small"
+        fine = odometry and any(other.by == "true poses" for other in right)
+        others = ", while true poses and images agree," if fine else ""
         notices.append(
-            f"{name}: the intrinsics are wrong{other}: the images move as through a focal length {focal:.2f}"
-            " times the stated one: check camera_info or intrinsics.json, and whether images were scaled or cropped"
-        )
-    elif (scale := focals.get("odometry")) is not None:
-        notices.append(
-            f"{name}: odometry has turns {'too large' if scale < 1 else 'too small'}: the images fit true"
-            f" poses, and with odometry only a focal length {scale:.2f} times the stated one"
+            f"{name}: by {check.by}{others} the images move as through a focal length {check.focal:.2f} times the"
+            " stated one: the intrinsics are wrong (camera_info, intrinsics.json), or images were scaled or cropped"
+            f"{odometry}"
         )
     return notices
-
-
-def _what_is_turned(turned: Sequence[ViewCheck], right: Sequence[ViewCheck]) -> str:
-    """The orientation of images or poses, its source, and the setting to correct."""
-    worst = turned[0]
-    shared = [o for o in worst.orientations if all(o in check.orientations for check in turned)]
-    poses = "the true poses" if worst.by == "true poses" else "the poses of odometry"
-    phrases: dict[str, None] = {}
-    for orientation in shared or worst.orientations:
-        mirrored = np.linalg.det(ORIENTATIONS[orientation]) < 0
-        if not mirrored or not right:
-            phrases[orientation if len(turned) > 1 else orientation.replace("the poses", poses)] = None
-        if mirrored and len(turned) == 1:
-            phrases[f"{poses} are left-handed"] = None
-    fine = f", while {right[0].by} and images agree" if right else ""
-    correct = f"{poses} or where the camera sits" if right else "images, poses or where the camera sits"
-    return (
-        f"{' or '.join(phrases)}, as images move against {_by(turned)}{fine}"
-        f" ({np.degrees(worst.residual_turned):.1f}° off so, {np.degrees(worst.residual):.1f}° as stated): correct"
-        f" {correct} (tf, --base-from-camera)"
-    )
 
 
 def _by(checks: Sequence[ViewCheck]) -> str:
@@ -339,7 +311,7 @@ def _by(checks: Sequence[ViewCheck]) -> str:
 
 
 def _focal(residuals: Sequence[np.ndarray]) -> float | None:
-    """The focal length over the stated one by residuals of pairs with each of `_FOCAL`; None where that is as good."""
+    """The best focal length over the stated one, by residuals of pairs with each of `_FOCAL`; None where 1 will do."""
     table, rng = np.array(residuals), np.random.default_rng(0)  # of each focal length and pair
     count = table.shape[1]
     drawn = [lowest(_LOG_FOCAL, table[:, rng.integers(count, size=count)].mean(axis=1)) for _ in range(_DRAWS)]

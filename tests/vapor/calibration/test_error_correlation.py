@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from filtering.measurement_noise import MeasurementNoise
 from filtering.se3 import Poses
 from tests.helpers.erring_posteriors import TRUE, fit, posteriors, walk
-from tests.helpers.full import full, some
+from tests.helpers.full import full
 from vapor.calibration.error_correlation import ErrorCorrelation, Travel, fit_error_correlation
 from vapor.calibration.image_errors import fit_errors
 from vapor.calibration.places import Observations
@@ -106,16 +106,6 @@ def found_correlation(normal: np.ndarray, truth: Poses, passes: int = 1, extent:
     """What is found of errors (n, 6) of images at these poses, in passes of equal numbers."""
     travel = Travel.along(truth, np.repeat(np.arange(passes), len(truth) // passes))
     return fit_error_correlation(normal, np.ones(len(normal), bool), travel, extent)
-
-
-@full
-@pytest.mark.parametrize(("fraction", "taken"), some(1, [(1.0, 0.7), (0.3, 0.5)]))
-def test_of_errors_that_last_wholly_or_hardly_the_sum_of_the_correlations_is_kept(fraction, taken):
-    rng = np.random.default_rng(7)
-    truth = walk(1000, STEP, rng=rng)
-    found = [found_correlation(correlated(1000, 1.0, fraction, rng=rng), truth) for _ in range(9)]
-    assert {each.fraction for each in found} == {taken}
-    assert np.median([each.length_m * taken for each in found]) == pytest.approx(fraction * 1.0, rel=0.25)
 
 
 def test_what_lasts_long_beside_what_fades_soon_is_seen():

@@ -13,11 +13,10 @@ from tests.helpers.command_line import main
 from tests.helpers.sequence_files import Walk
 from tests.helpers.tiny_model import NETWORK, altered
 from vapor.benchmark.ood_images import CHANGED, OUT_OF_DISTRIBUTION, evaluate_flags
-from vapor.calibration.calibrate_model import calibrate_model
+from vapor.calibration.calibrate import calibrate_model
 from vapor.calibration.ood_model import extract_features, fit_ood_model, learn_ood_model
 from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
 from vapor.observation import VaporObservationModel
-from vapor.regressors.backbones import Describer
 from vapor.regressors.network_config import make_backbone, stage_channels
 from vapor.regressors.ood_model import description_size
 from vapor.regressors.scene_box import SceneBox
@@ -103,12 +102,6 @@ def test_a_backbone_says_how_many_channels_its_stages_have(name):
     assert tuple(found) == stage_channels(name)
 
 
-def test_a_describer_stops_listening_at_its_end():
-    with Describer(REGRESSOR):
-        assert all(stage._forward_hooks for stage in REGRESSOR.backbone.stages)
-    assert not any(stage._forward_hooks for stage in REGRESSOR.backbone.stages)
-
-
 # --- in a model file -------------------------------------------------------------------------------
 
 
@@ -151,13 +144,9 @@ def test_what_is_familiar_comes_back_from_a_model_file_exactly(model, tmp_path):
 
 
 DAMAGE = {
-    "missing": (lambda t: t.pop("ood_model.axes"), "lacks tensor ood_model.axes"),
     "surplus": (lambda t: t.update({"ood_model.more": torch.zeros(1)}), "surplus tensor ood_model.more"),
     "of another network": (lambda t: t.update({"ood_model.centre": torch.zeros(3)}), "centre has shape"),
     "not finite": (lambda t: t["ood_model.exemplars"].fill_(torch.nan), "exemplars has values that are not finite"),
-    "no exemplars": (
-        lambda t: t.update({"ood_model.exemplars": torch.zeros(0, 48)}), "exemplars has shape"
-    ),
     "threshold of zero": (lambda t: t["ood_model.threshold"].zero_(), "threshold 0.0, expected positive"),
     "scale of zero": (lambda t: t["ood_model.scale"].zero_(), "scale has values that are not positive"),
 }  # fmt: skip

@@ -3,9 +3,7 @@
 import json
 import os
 import time
-from dataclasses import replace
 from functools import cache
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +14,7 @@ from onnx import TensorProto, helper
 
 from filtering.errors import VaporTrackError
 from tests.helpers.checkpoints import an_image, any_checkpoint, noise
-from tests.helpers.exported import GRAPH_BYTES, field, put_together, take_apart, with_config, with_digest, write_export
+from tests.helpers.exported import GRAPH_BYTES, field, put_together, take_apart, with_config, write_export
 from tests.helpers.full import some
 from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.engines import onnx_export
@@ -34,7 +32,7 @@ def of_head(tmp_path_factory):
     """The checkpoint of a head, its exported file and what the export said; of each head once."""
 
     @cache
-    def export(head: str) -> tuple[Checkpoint, Path, tuple[str, float, float]]:
+    def export(head: str) -> tuple[Checkpoint, Path, tuple[float, float]]:
         checkpoint, file = any_checkpoint(head), tmp_path_factory.mktemp(head) / "m.onnx"
         return checkpoint, file, export_onnx(checkpoint, file)
 
@@ -49,8 +47,8 @@ def exported(of_head):
 
 @pytest.mark.parametrize("head", some(4, [*REGRESSORS]))
 def test_every_regressor_gives_torchs_poses_and_description_as_onnx(of_head, head):
-    checkpoint, file, (runtime, metres, radians) = of_head(head)
-    assert (runtime, metres < 1e-4, radians < 1e-4) == ("onnxruntime", True, True)
+    checkpoint, file, (metres, radians) = of_head(head)
+    assert (metres < 1e-4, radians < 1e-4) == (True, True)
     session = onnxruntime.InferenceSession(str(file))
     torchs, image, columns = TorchEngine(checkpoint, device="cpu"), an_image(), session.get_inputs()[1].shape[1]
     numbers = noise(columns)
@@ -184,17 +182,6 @@ def test_another_graph_or_version_of_its_operators_is_refused(small):
     assert "damaged: its graph does not match its digest" in refused(small)
 
 
-def test_a_length_of_more_than_ten_bytes_is_refused(small):
-    graph, entries = take_apart(small.read_bytes())
-    for zeros, fits in ((8, True), (9, False)):
-        padded = graph.replace(b"\x3a\x05", b"\x3a\x85" + b"\x80" * zeros + b"\x00")
-        small.write_bytes(with_digest(padded, entries))
-        if fits:
-            describe_onnx(small)
-        else:
-            refused(small)
-
-
 def test_settings_for_all_to_read_that_were_changed_alone_are_refused(small):
     graph, entries = take_apart(small.read_bytes())
     name, config = entries[0]
@@ -207,9 +194,7 @@ def test_settings_for_all_to_read_that_were_changed_alone_are_refused(small):
     [
         (lambda c: c["network"].update(image_width=10**9), "image_width 1000000000"),
         (lambda c: c["network"].update(head="os.system"), "head is 'os.system', expected one of"),
-        (lambda c: c.update(network=[]), "network configuration lacks"),
-        (lambda c: c.update(camera={"width": "x"}), "camera configuration"),
-        (lambda c: c.update(training=7), "training is int"),
+        (lambda c: c.update(training=7), "training 7, expected an object"),
         (lambda c: c.update(calibration={"errors": 1e999}), "configuration"),
     ],
 )
@@ -222,46 +207,9 @@ def test_a_configuration_of_wrong_values_is_refused_though_checksums_fit(changed
     assert said in refused(small)
 
 
-@pytest.mark.parametrize("config", ["", "{", "[" * 100_000, "null", '{"network": NaN}', "9" * 5000, '"\\ud800"'])
-def test_a_configuration_that_is_no_object_is_refused(config, small):
-    small.write_bytes(with_config(small.read_bytes(), config))
-    assert "configuration" in refused(small)
-
-
-def graph_of(image: list, noise: list, outputs: tuple[str, ...], operator: str = "Identity") -> bytes:
-    """A graph of other inputs, outputs or operators than an exported model has."""
-    shapes = {"translation": ["m", 3], "rotation": ["m", 3, 3]}
-    nodes = [helper.make_node(operator, ["noise"], [name]) for name in outputs]
-    graph = helper.make_graph(
-        nodes,
-        "other",
-        [
-            helper.make_tensor_value_info("image", TensorProto.UINT8, image),
-            helper.make_tensor_value_info("noise", TensorProto.FLOAT, noise),
-        ],
-        [helper.make_tensor_value_info(name, TensorProto.FLOAT, shapes[name]) for name in outputs],
-    )
-    return helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8).SerializeToString()
-
-
-@pytest.mark.parametrize(
-    ("graph", "said"),
-    [
-        (graph_of([32, 40, 3], ["m", 3], ("translation",), "Unknown"), "OpenVINO cannot compile its network ("),
-        (GRAPH_BYTES, "its network has no inputs; expected image"),
-        (graph_of([32, 40, 3], ["m", 3], ("translation",)), "expected image u8 [32,40,3], noise f32 [?,d], trans"),
-        (graph_of([64, 40, 3], ["m", 3], ("translation", "rotation")), "image u8 [64,40,3]"),
-        (graph_of([32, 40, 3], ["m", 10**6], ("translation", "rotation")), "noise f32 [?,1000000]"),
-    ],
-    ids=["unknown operator", "no graph", "one output", "other image", "much noise"],
-)
-def test_another_network_whose_digest_fits_is_not_run(graph, said, here):
-    told = describe_onnx(write_export(Path("m.onnx"), any_checkpoint(in_distribution=False).description, graph))
-    with pytest.raises(CheckpointError) as found:
-        start_engine(told)
-    assert said in str(found.value)
-    assert str(found.value).startswith("m.onnx: ")
-    assert "\n" not in str(found.value)
+def test_a_graph_that_is_none_though_its_digest_fits_is_not_run(small):
+    with pytest.raises(VaporTrackError, match=r"^m\.onnx: OpenVINO cannot compile the network in float32 \(.+\), exp"):
+        start_engine(describe_onnx(small))
 
 
 @pytest.fixture
@@ -273,8 +221,8 @@ def written_before(of_head, monkeypatch) -> None:
 
 @pytest.mark.usefixtures("written_before")
 def test_an_export_that_differs_from_torch_is_not_written(tmp_path, monkeypatch):
-    def turned(path, runtime, inputs):
-        found = run(path, runtime, inputs)
+    def turned(path, inputs):
+        found = run(path, inputs)
         return [found[0] + 2e-4, *found[1:]]
 
     run = onnx_export._run
@@ -282,13 +230,6 @@ def test_an_export_that_differs_from_torch_is_not_written(tmp_path, monkeypatch)
     with pytest.raises(VaporTrackError, match=r"gives poses up to 0\.000\d+ m .* from torch's, expected 0\.0001 m"):
         export_onnx(any_checkpoint(), tmp_path / "m.onnx")
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.usefixtures("written_before")
-def test_openvino_checks_an_export_where_there_is_no_onnxruntime(tmp_path, monkeypatch):
-    monkeypatch.setattr(onnx_export, "find_spec", lambda name: None if name == "onnxruntime" else find_spec(name))
-    runtime, metres, radians = export_onnx(any_checkpoint(), tmp_path / "m.onnx")
-    assert (runtime, metres < 1e-4, radians < 1e-4) == ("openvino", True, True)
 
 
 def test_a_network_that_torch_cannot_export_is_refused_in_a_line(tmp_path, monkeypatch):
@@ -310,7 +251,7 @@ def test_an_exported_model_runs_by_openvino_only(exported):
     found = engine.run(an_image(), noise(8))
     np.testing.assert_allclose(found.translation, expected.translation, atol=1e-4)
     assert engine.name == "openvino"
-    with pytest.raises(VaporTrackError, match="engine torch with an exported model, expected engine openvino"):
+    with pytest.raises(VaporTrackError, match="with engine torch and device auto, expected engine openvino"):
         start_engine(told, EngineConfig("torch"))
 
 
@@ -320,12 +261,3 @@ def test_what_has_no_ood_model_gives_poses_alone(tmp_path):
     session = onnxruntime.InferenceSession(str(tmp_path / "m.onnx"))
     assert [each.name for each in session.get_outputs()] == ["translation", "rotation"]
     assert describe_onnx(tmp_path / "m.onnx").ood_model is None
-
-
-@pytest.mark.usefixtures("written_before")
-def test_a_network_of_numbers_that_are_none_is_not_exported(tmp_path):
-    good = any_checkpoint()
-    state = {n: torch.full_like(v, torch.nan) if v.is_floating_point() else v for n, v in good.state_dict.items()}
-    bad: Checkpoint = replace(good, state_dict=state)
-    with pytest.raises(VaporTrackError, match="gives poses up to nan m"):
-        export_onnx(bad, tmp_path / "m.onnx")

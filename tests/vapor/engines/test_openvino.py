@@ -1,7 +1,6 @@
 """Networks run by OpenVINO: as torch runs them, compiled once, and refused in a line where it cannot be."""
 
 import os
-import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -12,7 +11,6 @@ import numpy as np
 import pytest
 
 from filtering.errors import VaporTrackError
-from sequences.atomic import CACHE
 from tests.helpers.checkout import CHECKOUT
 from tests.helpers.checkpoints import an_image, any_checkpoint, noise
 from tests.helpers.full import full
@@ -20,7 +18,7 @@ from tests.helpers.tiny_model import SMALL
 from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
 from vapor.engines import openvino_engine, start
 from vapor.engines.engine import Engine, EngineConfig
-from vapor.engines.openvino_engine import Variant, read_compiled, write_compiled
+from vapor.engines.openvino_engine import KeptNetwork, cache_folder
 from vapor.engines.start import describe, start_engine
 from vapor.engines.torch_engine import TorchEngine
 
@@ -70,7 +68,7 @@ def test_bfloat16_rounds_and_float32_does_not(model: Path) -> None:
 
 @pytest.mark.usefixtures("kept")
 def test_a_network_is_compiled_once_and_then_gives_the_same_bits(model: Path) -> None:
-    assert {file.name for file in model.parent.iterdir()} == {model.name, CACHE}
+    assert [file.name for file in model.parent.iterdir()] == [model.name]
     first, second = (poses(start_engine(describe(model), OPENVINO)) for _ in range(2))
     np.testing.assert_array_equal(first, second)
 
@@ -78,47 +76,38 @@ def test_a_network_is_compiled_once_and_then_gives_the_same_bits(model: Path) ->
 @pytest.mark.usefixtures("kept")
 def test_auto_takes_what_was_faster_when_the_network_was_compiled(model: Path) -> None:
     described = describe(model)
-    variant = Variant(
-        described.network_sha256,
-        described.ood_model is not None,
-        "float32",
-        openvino_engine.processor(),
-        openvino_engine.version(),
-    )
-    compiled = read_compiled(model, variant)
+    place = KeptNetwork(described, "float32")
+    compiled = place.read()
     assert compiled is not None
     for faster, name in ((True, "openvino"), (False, "torch")):
-        write_compiled(model, variant, replace(compiled, faster=faster))
+        place.write(replace(compiled, faster=faster))
         assert start_engine(described).name == name
     assert start_engine(described, OPENVINO).name == "openvino"
 
 
 def test_what_is_kept_but_damaged_or_of_another_model_is_compiled_anew(model: Path, tmp_path: Path) -> None:
-    shutil.copytree(model.parent, tmp_path, dirs_exist_ok=True)
-    file = tmp_path / model.name
-    expected = poses(start_engine(describe(model), OPENVINO))
-    (compiled,) = (each for each in (tmp_path / CACHE).glob("model*") if b"float32" in each.read_bytes())
+    file = tmp_path / "model.safetensors"
+    file.write_bytes(model.read_bytes())
+    expected = poses(start_engine(describe(file), OPENVINO))
+    compiled = KeptNetwork(describe(file), "float32").file
     compiled.write_bytes(compiled.read_bytes()[:-100])
     np.testing.assert_array_equal(poses(start_engine(describe(file), OPENVINO)), expected)
     state = load_checkpoint(file).state_dict
     other = {name: value + 0.1 if value.is_floating_point() else value for name, value in state.items()}
     save_checkpoint(file, replace(load_checkpoint(file), state_dict=other))
     assert np.abs(poses(start_engine(describe(file), OPENVINO)) - expected).max() > 1e-3
-    assert [each.name for each in (tmp_path / CACHE).iterdir() if each.name.startswith("model")] != [compiled.name]
-    assert len(list((tmp_path / CACHE).glob("model*"))) == 1  # that of the model before is gone
+    assert KeptNetwork(describe(file), "float32").file == compiled  # which replaced the former network's
 
 
-def test_where_nothing_can_be_written_beside_the_model_it_is_kept_in_the_users_cache(
+def test_without_a_cache_that_can_be_written_openvino_runs_where_it_is_asked_for_and_auto_is_torch(
     model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    folder = tmp_path / "models"
-    folder.mkdir()
-    file = folder / "model.safetensors"
-    file.write_bytes(model.read_bytes())
-    (folder / CACHE).write_text("no folder")
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    start_engine(describe(file), OPENVINO)
-    assert len(list((tmp_path / "cache" / "vapor-track").glob("*/model.safetensors-*"))) == 1
+    (tmp_path / "vapor-track").write_text("no folder")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(start, "can_be_kept", openvino_engine.can_be_kept)
+    assert start_engine(describe(model), OPENVINO).name == "openvino"
+    assert start_engine(describe(model)).name == "torch"
+    assert not cache_folder().exists()
 
 
 @full
@@ -152,7 +141,7 @@ def test_neither_compiling_nor_loading_a_network_forks_or_loads_what_tells_the_i
     file.write_bytes(model.read_bytes())
     ran = subprocess.run(
         [sys.executable, "-c", COUNTED, str(file)],
-        env=os.environ | {"PYTHONPATH": str(CHECKOUT), "HOME": str(tmp_path)},
+        env=os.environ | {"PYTHONPATH": str(CHECKOUT), "HOME": str(tmp_path), "XDG_CACHE_HOME": ""},
         capture_output=True,
         text=True,
     )
@@ -165,7 +154,7 @@ def test_an_engine_that_is_not_installed_says_how_to_install_it(model: Path, mon
     with pytest.raises(VaporTrackError, match=r"OpenVINO is not installed.*pip install 'vapor-track\[openvino\]'"):
         start_engine(describe(model), OPENVINO)
     assert start_engine(describe(model)).name == "torch"
-    with pytest.raises(VaporTrackError, match="precision bfloat16 on a processor: OpenVINO is not installed"):
+    with pytest.raises(VaporTrackError, match="OpenVINO is not installed"):
         start_engine(describe(model), EngineConfig("auto", "bfloat16"), device="cpu")
 
 
@@ -178,7 +167,7 @@ def test_a_processor_without_bfloat16_is_told_so(model: Path, tmp_path: Path, mo
 
 
 def test_engines_that_do_not_go_with_a_device_are_refused(model: Path) -> None:
-    with pytest.raises(VaporTrackError, match="engine openvino with device cuda"):
+    with pytest.raises(VaporTrackError, match="engine openvino with engine openvino and device cuda"):
         start_engine(describe(model), OPENVINO, device="cuda")
     with pytest.raises(VaporTrackError, match="precision bfloat16: torch is slow with it on processors"):
         start_engine(describe(model), EngineConfig("torch", "bfloat16"), device="cpu")

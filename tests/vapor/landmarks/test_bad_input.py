@@ -217,13 +217,3 @@ def test_a_map_stays_within_its_memory_and_keeps_what_most_images_show(monkeypat
         assert np.median(views) > np.median(np.bincount(built.landmarks.shown))
         localizer = LandmarkLocalizer(small.landmarks)
         assert len(localizer.landmarks.points) < len(built.points) / 2
-
-
-def test_features_in_memory_while_a_map_is_built_are_bounded(monkeypatch, room, material):
-    monkeypatch.setattr(building, "_MOST_FEATURES", 300 * len(material.key))
-    monkeypatch.setattr(building, "_OF_IMAGES", len(material.key) - 1)
-    found = building.gather(lambda image: grey_view(room.view(POSES[image]), CAMERA), POSES, CAMERA, scale_m=1.0)
-    most = max(len(each) for each in material.features)
-    assert most > 350
-    assert all(len(each) <= 310 for each in found.features)  # SIFT gives a few more where some are as strong
-    assert build(found, ViewCamera(CAMERA)) is not None

@@ -133,7 +133,7 @@ def test_a_run_with_landmarks_reports_a_picture_and_one_without_none(room, built
     calibration = replace(description.calibration, errors=errors)
     model.observation.description = replace(description, landmarks=Landmarks(built.landmarks), calibration=calibration)
     result = run(path, model, tmp_path / "with", config)
-    assert result.record.verified == 8
+    assert result.record.num_verified == 8
     shown = result.record.landmarks
     assert np.linalg.norm(shown.predicted - shown.seen, axis=1).max() < 3.1
     np.testing.assert_array_less(np.abs(shown.image.astype(int) - room.view(poses[shown.number])).mean(), 5.0)

@@ -10,12 +10,13 @@ from filtering.measurement_noise import MeasurementNoise
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from tests.helpers.textured_room import CAMERA, Room, walk
+from vapor.calibration.error_correlation import Travel
 from vapor.calibration.verification import SeenPlaces, evidence, fit_reach, fit_verification, none_right
 from vapor.calibration.verified_errors import LeaveOut, fit_verified_errors, leave_out
 from vapor.landmarks.build import build
 from vapor.landmarks.features import Features, restored
 from vapor.landmarks.landmark_map import ViewCamera
-from vapor.landmarks.localize import LandmarkLocalizer, VerifiedPose, query_features
+from vapor.landmarks.localize import LandmarkLocalizer, VerifiedPose
 from vapor.landmarks.verify import Landmarks, LandmarkVerifier, Verification, grey_view, verified
 
 SHARP = MeasurementNoise(noise_floor=(0.01,) * 3 + (0.003,) * 3, typical_std=(0.01,) * 3 + (0.003,) * 3)
@@ -102,20 +103,17 @@ def test_landmarks_of_the_place_say_that_an_image_is_not_foreign():
     assert verified(network, [], Verification()) is network
 
 
-def test_errors_are_found_on_images_without_those_near_them_in_time(room, built):
-    poses = walk(60)
-    left_out = leave_out(
-        built, lambda image: query_features(grey_view(room.view(poses[image]), CAMERA)), poses, np.zeros(60, int)
-    )
+def test_errors_are_found_on_images_without_those_near_them_in_time(built):
+    left_out = leave_out(built)
     assert left_out.verified > 0.5
-    found = fit_verified_errors(left_out, poses, np.zeros(60, int), -6.0)
+    found = fit_verified_errors(left_out, -6.0)
     assert found.images >= 20
     assert found.elsewhere == 0.0
     assert found.median_m < 0.03
     assert found.coverage[2] > 0.85
     assert max(found.errors.typical_std[:3]) < 0.03
-    none = replace(left_out, found=((),) * len(left_out.image))
-    assert fit_verified_errors(none, poses, np.zeros(60, int), -6.0) is None
+    none = replace(left_out, found=((),) * len(left_out.found))
+    assert fit_verified_errors(none, -6.0) is None
 
 
 def test_regions_hold_the_left_out_images_though_most_are_exact_and_some_are_far_off():
@@ -125,8 +123,8 @@ def test_regions_hold_the_left_out_images_though_most_are_exact_and_some_are_far
     away = 0.001 * rng.standard_normal((100, 6))
     away[::3] += rng.uniform(-0.5, 0.5, (34, 6)) * np.repeat([1.0, 0.2], 3)
     found = tuple((replace(found_at(0.0), world_from_camera=poses[i] @ Poses.exp(away[i])),) for i in range(100))
-    left_out = LeaveOut(np.arange(100), found, poses, np.zeros(100), 2.0)
-    errors = fit_verified_errors(left_out, poses, np.zeros(100, int), -6.0)
+    left_out = LeaveOut(Travel.along(poses, np.zeros(100, int)), found, poses, np.zeros(100), 2.0)
+    errors = fit_verified_errors(left_out, -6.0)
     assert len(left_out.right) == 100
     assert errors.coverage[1] >= 0.9
 
@@ -152,11 +150,12 @@ def test_where_landmarks_reach_is_found_on_images_at_all_distances():
     """Right up to 0.8 depths, and a place 20 m off is verified in every fifth image, in every second, or in none."""
     distance = np.linspace(0.05, 2.0, 400)
     truth = Poses(np.tile(np.eye(3), (400, 1, 1)), np.zeros((400, 3)))
+    travel = Travel.along(truth, np.zeros(400, int))
 
     def left_out(every):
         alike = [(found_at(20.0),) if every and i % every == 0 else () for i in range(400)]
         found = tuple((found_at(0.0), *alike[i]) if distance[i] < 0.8 else alike[i] for i in range(400))
-        return LeaveOut(np.arange(400), found, truth, distance, 2.0)
+        return LeaveOut(travel, found, truth, distance, 2.0)
 
     alike, more, alone = (fit_reach(left_out(every), 400.0) for every in (5, 2, 0))
     assert alike.reach == alone.reach == pytest.approx(0.8, rel=0.1)
@@ -164,7 +163,7 @@ def test_where_landmarks_reach_is_found_on_images_at_all_distances():
     assert more.elsewhere == MOST_ELSEWHERE
     assert alone.elsewhere < 0.01
     assert fit_reach(left_out(2), 1.0).elsewhere < 0.15  # one image's worth says little
-    none = fit_reach(LeaveOut(np.arange(0), (), truth[:0], distance[:0], 2.0), 0.0)
+    none = fit_reach(LeaveOut(travel, (), truth[:0], distance[:0], 2.0), 0.0)
     assert none.reach == pytest.approx(Verification().reach, rel=0.1)
     assert none.elsewhere == Verification().elsewhere
 

@@ -33,7 +33,7 @@ def test_every_regressor_has_a_loss_that_reaches_its_weights_and_samples_poses(h
     assert type(network) is regressor_class(head)
     noise = torch.randn(4, network.samples_in_training(8), network.noise_dim)
     loss = network.loss(IMAGES, *TRUTH, noise, LossConfig(num_samples=8))
-    loss.total.backward()
+    loss.backward()
     reached = [p for p in network.parameters() if p.grad is not None and p.grad.abs().max() > 0]
     assert len(reached) > 3
     learned = {id(p) for p in reached}

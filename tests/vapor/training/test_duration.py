@@ -5,22 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from filtering.se3 import Poses
-from sequences.frame import Frame
 from tests.helpers.checks import no_checks
 from tests.helpers.full import full
-from tests.helpers.tiny_training import TINY, Interrupted, make_frames, same_weights, train_on_most
+from tests.helpers.tiny_training import TINY, Interrupted, make_frames, same_weights, train_on_most, walks
 from vapor.training.presets import PRESETS
 from vapor.training.train import train_on
-
-
-def walks() -> dict[str, list[Frame]]:
-    """Four walks of 24 images along the same line, of which one is held out."""
-    frames = make_frames(96)
-    poses = [Poses(np.eye(3), np.array([0.1 * i, 0.0, 0.0])) for i in range(24)]
-    moved = [replace(frame, world_from_camera=poses[i % 24]) for i, frame in enumerate(frames)]
-    return {name: moved[24 * i : 24 * (i + 1)] for i, name in enumerate("abcd")}
-
 
 EVERYTHING = replace(TINY, calibrate=False, finish=0.5)
 

@@ -70,6 +70,10 @@ def test_arithmetic_is_chosen_by_hardware_and_network_unless_it_is_told(monkeypa
         (AugmentConfig, {"blur_probability": 1.5}),
         (Calibration, {"bandwidth_rotation_rad": 0.0}),
         (TrainConfig, {"bandwidth_translation_m": -1.0}),
+        (TrainConfig, {"weight_decay": float("nan")}),
+        (TrainConfig, {"initial_log_variance": 5.5}),
+        (TrainConfig, {"epochs": 0}),
+        (TrainConfig, {"batch_size": 1}),
     ],
 )
 def test_settings_out_of_range_are_refused(kind, change):

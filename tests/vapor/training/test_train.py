@@ -10,7 +10,6 @@ import torch
 
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
-from tests.helpers.full import full
 from tests.helpers.tiny_training import STILL, TINY, make_frames, pose, same_weights, train_on_most
 from vapor.checkpoints.file_format import load_checkpoint
 from vapor.evaluation.validation import validate
@@ -59,23 +58,6 @@ def test_an_image_of_two_places_gives_a_posterior_with_both(tmp_path):
 # --- precision ------------------------------------------------------------------------------------
 
 
-@pytest.mark.usefixtures("unchecked")
-def test_only_the_loss_is_computed_in_bfloat16(tmp_path, monkeypatch):
-    """Its gradients, the optimiser's step and the average of the weights are not: autocast ends before them."""
-    seen = []
-
-    def watched(*arguments):
-        seen.append(torch.is_autocast_enabled("cpu"))
-        update_average(*arguments)
-
-    monkeypatch.setattr("vapor.training.epoch.uses_bfloat16", lambda config, device: True)
-    monkeypatch.setattr("vapor.training.epoch.update_average", watched)
-    config = replace(TINY, augment=STILL, epochs=1, batch_size=6, validation_fraction=0.0, resume=False)
-    train_on({"walk": make_frames(12, seed=5)}, tmp_path / "m.safetensors", config)
-    assert seen
-    assert not any(seen)
-
-
 # --- resume ---------------------------------------------------------------------------------------
 
 
@@ -95,37 +77,6 @@ def test_a_training_goes_on_from_all_weights_of_another_model_in_a_box_that_hold
     assert on.box.upper[:2] == there.box.upper[:2]
     assert on.box.upper[2] > there.box.upper[2] + 8
     assert on.training["config"]["initial_model"] == "first.safetensors"
-
-
-@full
-@pytest.mark.parametrize("head", ["variational", "point"])
-def test_a_model_without_a_shortcut_goes_on_with_one_and_one_with_it_does_not_go_on_without(head, tmp_path):
-    first, last = tmp_path / "first.safetensors", tmp_path / "last.safetensors"
-    plain = replace(TINY.network, head=head, shortcut=False)
-    train_on({"a": make_frames(24)}, first, replace(TINY, network=plain))
-    there = load_checkpoint(first)
-    direct = replace(TINY.network, head=head, shortcut=True)
-    still = replace(TINY, initial_model=first, network=direct, learning_rate=1e-12, weight_decay=0.0, epochs=1)
-    on = train_on({"a": make_frames(24)}, last, still).checkpoint
-    learned = {name for name in there.state_dict if "running" not in name and "num_batches" not in name}
-    assert all(torch.allclose(on.state_dict[name], there.state_dict[name], atol=1e-8) for name in learned)
-    new = set(on.state_dict) - set(there.state_dict)
-    assert new == ({"pose_map.shortcut.weight"} if head == "variational" else set())
-    assert all(on.state_dict[name].abs().max() < 1e-8 for name in new)
-    if head == "variational":
-        with pytest.raises(TrainingError, match=r"has shortcut True \(expected False\)"):
-            train_on({"a": make_frames(24)}, first, replace(still, initial_model=last, network=plain))
-
-
-@full
-def test_images_read_before_train_the_same_network(tmp_path):
-    frames, config = {"a": make_frames(24)}, replace(TINY, epochs=1)
-    read = train_on(frames, tmp_path / "read.safetensors", config).checkpoint
-    images = load_training_set(frames, config.network.frame_size)
-    for name in ("once", "twice"):
-        again = train_on_images(images, ["a"], tmp_path / f"{name}.safetensors", config).checkpoint
-        assert again.training == read.training
-        assert all(torch.equal(again.state_dict[k], value) for k, value in read.state_dict.items())
 
 
 def test_a_selection_trains_the_network_that_its_images_alone_train(tmp_path):
@@ -151,12 +102,6 @@ def test_the_latents_first_variance_is_the_configured_one_and_nothing_else_diffe
     name = "latent_log_variance.bias"
     torch.testing.assert_close(other.state_dict[name], plain.state_dict[name] - 3.0)
     assert all(torch.allclose(other.state_dict[k], v, atol=1e-8) for k, v in plain.state_dict.items() if k != name)
-
-
-@pytest.mark.parametrize("value", [-10.5, 5.5, float("nan")])
-def test_a_first_variance_beyond_what_the_network_keeps_is_refused(value):
-    with pytest.raises(TrainingError, match=r"initial_log_variance is .*, expected -10 to 5"):
-        replace(TINY, initial_log_variance=value)
 
 
 def test_a_model_of_another_shape_or_two_starts_are_refused_before_anything_is_read(tmp_path):
@@ -186,17 +131,15 @@ def test_the_average_follows_weights_and_statistics_and_copies_counts():
     assert int(average.backbone.bn1.num_batches_tracked) == 7
 
 
-def test_told_seconds_are_those_of_training_without_judging(tmp_path, monkeypatch):
+def test_stated_seconds_are_of_training_without_evaluation(tmp_path, monkeypatch):
     def slowly(*args, **kwargs):
         time.sleep(0.1)
         return validate(*args, **kwargs)
 
     monkeypatch.setattr("vapor.training.trainer.validate", slowly)
-    told, begin = [], time.perf_counter()
-    result = train_on_most(make_frames(24), tmp_path / "m.safetensors", TINY, progress=told.append)
-    seconds = [progress.seconds for progress in told if progress.stage == "training"]
-    assert seconds == sorted(seconds)
-    assert 0.0 < seconds[-1] <= result.seconds < time.perf_counter() - begin - 0.1 * (TINY.epochs or 0)
+    begin = time.perf_counter()
+    result = train_on_most(make_frames(24), tmp_path / "m.safetensors", TINY)
+    assert 0.0 < result.seconds < time.perf_counter() - begin - 0.1 * (TINY.epochs or 0)
 
 
 def test_efficientnet_starts_from_random_weights_where_asked(tmp_path, monkeypatch):
@@ -208,16 +151,6 @@ def test_efficientnet_starts_from_random_weights_where_asked(tmp_path, monkeypat
     assert len(result.history) == 1
 
 
-def test_a_larger_decay_shrinks_the_weights(tmp_path):
-    still = replace(TINY, ema_decay=0.0, resume=False, learning_rate=1e-3, validation_fraction=0.0, calibrate=False)
-    norms = []
-    for decay in (0.0, 300.0):
-        config = replace(still, weight_decay=decay)
-        trained = train_on({"a": make_frames(24)}, tmp_path / f"{decay}.safetensors", config).checkpoint
-        norms.append(sum(float(v.square().sum()) for v in trained.state_dict.values() if v.ndim > 1))
-    assert norms[1] < 0.5 * norms[0]
-
-
 @pytest.mark.parametrize("head", ["variational", "point", "mixture"])
 def test_every_matrix_decays_and_nothing_else_does(head):
     config = replace(TINY, network=replace(TINY.network, head=head), weight_decay=0.1)
@@ -226,9 +159,3 @@ def test_every_matrix_decays_and_nothing_else_does(head):
     for name, parameter in network.named_parameters():
         assert decays.pop(id(parameter)) == (0.1 if parameter.ndim > 1 else 0.0), name
     assert not decays
-
-
-@pytest.mark.parametrize("value", [-0.1, float("nan"), float("inf")])
-def test_a_weight_decay_out_of_range_is_refused(value):
-    with pytest.raises(TrainingError, match=r"training: weight_decay is .*, expected 0.0 to"):
-        replace(TINY, weight_decay=value)

@@ -9,6 +9,7 @@ from filtering.measurement_noise import MeasurementNoise
 from filtering.se3 import Poses
 from tests.helpers.full import full, some
 from tests.helpers.simulation import frames_of
+from vapor.calibration import calibrate
 from vapor.calibration.calibrate import CalibrationResult
 from vapor.checkpoints.calibration import Calibration
 from vapor.training import check as training_check
@@ -44,7 +45,7 @@ def network_that_errs(std, correlated=0.0):
 
 
 def checked(images, errors, predict, monkeypatch, judged=None, **result):
-    monkeypatch.setattr(training_check, "predict", predict)
+    monkeypatch.setattr(calibrate, "predict", predict)
     calibrated = CalibrationResult(Calibration(errors=errors), **result)
     judged = np.ones(len(images), bool) if judged is None else judged
     return check(None, images, judged, calibrated, None, images.poses, seed=0)
@@ -52,7 +53,7 @@ def checked(images, errors, predict, monkeypatch, judged=None, **result):
 
 def test_where_errors_are_as_found_the_filter_is_better_and_nothing_is_changed(images, monkeypatch):
     steps = []
-    monkeypatch.setattr(training_check, "predict", network_that_errs(STD))
+    monkeypatch.setattr(calibrate, "predict", network_that_errs(STD))
     result = CalibrationResult(Calibration(errors=HONEST))
     found, kept = check(
         None, images, np.ones(180, bool), result, None, images.poses, seed=0, advance=lambda *at: steps.append(at)
