@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_t
 
-from filtering.hypotheses import birth, concatenate, log_sum, with_source
+from filtering.hypotheses import birth, log_sum
 from filtering.motion import OdometryBias
 from filtering.se3 import Poses
 from tests.helpers.simulation import ERRORS, STD, associate, lifted, seen_at
@@ -28,25 +28,6 @@ def at(x, *, errors=ERRORS, share=1.0, std=STD):
 def mass_at(hypotheses, height_m, within=1.0):
     near = np.abs(hypotheses.poses.translation[:, 2] - height_m) < within
     return hypotheses.weights[near].sum()
-
-
-def test_one_place_and_one_hypothesis_are_a_kalman_update_whose_noise_lasts_in_part():
-    belief = believed([0.0], [1.0], errors=GAUSSIAN)
-    covariance = belief.covariance.copy()
-    covariance[0, :6, 13:] = covariance[0, 13:, :6] = -0.3 * np.diag(STD)
-    belief = replace(belief, covariance=covariance)
-    result = associate(belief, at(0.12, errors=GAUSSIAN), 0, novelty=0.7, distance=2.0)
-    assert len(result.hypotheses) == 1
-    share = GAUSSIAN.correlated_fraction
-    h = np.hstack([np.eye(6), np.zeros((6, 7)), np.sqrt(share) * np.diag(STD)])
-    innovation = h @ covariance[0] @ h.T + (1 - share) * np.diag(STD**2)
-    gain = covariance[0] @ h.T @ np.linalg.inv(innovation)
-    change = gain @ np.array([0.12, 0, 0, 0, 0, 0])
-    after = result.hypotheses
-    np.testing.assert_allclose(after.poses[0].log(), change[:6], atol=1e-6)
-    np.testing.assert_allclose(after.mean[0], change[6:], atol=1e-5)
-    expected = covariance[0] - gain @ innovation @ gain.T
-    np.testing.assert_allclose(after.covariance[0], expected, atol=1e-6)
 
 
 def test_hypotheses_go_on_with_the_weight_they_had_times_the_evidence_to_the_power_of_the_novelty():
@@ -108,14 +89,6 @@ def test_a_share_of_each_hypothesis_goes_on_as_it_was_by_how_likely_the_image_is
     assert 0.1 < after.weights[same] < 0.9
 
 
-def test_places_too_far_to_be_seen_leave_the_belief_as_it_was():
-    belief = believed([0.0, 5.0], [0.6, 0.4])
-    after = associate(belief, seen_at(lifted(Poses.identity(), [80.0])), 0, novelty=0.0, distance=2.0).hypotheses
-    np.testing.assert_array_equal(after.poses.translation, belief.poses.translation)
-    np.testing.assert_array_equal(after.covariance, belief.covariance)
-    np.testing.assert_allclose(after.log_weights, belief.log_weights, atol=1e-12)
-
-
 def test_a_place_far_off_for_its_error_pulls_less_than_a_gaussian_would_and_convinces_less():
     heavy = replace(ERRORS, degrees_of_freedom=4.0, outlier_probability=1e-9)
     belief = believed([0.0], [1.0], errors=heavy)
@@ -132,32 +105,6 @@ def test_a_place_far_off_for_its_error_pulls_less_than_a_gaussian_would_and_conv
     assert stds[0] == pytest.approx(1.0, abs=0.01)
     assert pulls[1] < 0.7
     assert stds[1] > 1.2
-
-
-def test_a_second_image_of_the_same_view_errs_as_the_first_did():
-    """Only the fresh share is averaged: of a hundred equal images the pose learns the correlated share's worth."""
-    belief = birth(seen_at(Poses.identity(1), errors=GAUSSIAN), 0, 1, NEVER, None)
-    for _ in range(100):
-        belief = associate(belief, at(0.0, errors=GAUSSIAN), 0, novelty=0.0, distance=2.0).hypotheses
-    share = np.diag(belief.covariance[0])[:6] / STD**2
-    assert (share > GAUSSIAN.correlated_fraction).all()
-    assert (share < GAUSSIAN.correlated_fraction + 0.01).all()
-
-
-def test_another_cameras_image_of_the_same_view_has_errors_of_its_own():
-    belief = with_source(birth(seen_at(Poses.identity(1), errors=GAUSSIAN), 0, 1, NEVER, None))
-    after = associate(belief, at(0.0, errors=GAUSSIAN), 1, novelty=1.0, distance=2.0).hypotheses
-    np.testing.assert_allclose(np.diag(after.covariance[0])[:6], STD**2 / 2, rtol=1e-3)
-
-
-def test_hypotheses_do_not_depend_on_each_others_presence():
-    belief = believed([0.0, 5.0, 30.0], [0.5, 0.3, 0.2])
-    posterior = seen_at(lifted(Poses.identity(), [0.1, 5.2]), (0.5, 0.4))
-    together = associate(belief, posterior, 0, novelty=0.5, distance=2.0)
-    alone = [associate(belief[k : k + 1], posterior, 0, novelty=0.5, distance=2.0) for k in range(3)]
-    np.testing.assert_allclose(together.log_evidence, np.concatenate([a.log_evidence for a in alone]), atol=1e-12)
-    parts = concatenate([a.hypotheses for a in alone])
-    np.testing.assert_allclose(np.sort(together.hypotheses.log_weights), np.sort(parts.log_weights), atol=1e-12)
 
 
 def test_a_hypothesis_wider_than_the_map_believes_an_image_as_one_that_knows_the_map():

@@ -2,17 +2,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from filtering.errors import VaporTrackError
-from filtering.hypotheses import BIAS, POSE, Hypotheses, birth, concatenate, correlated_error, log_sum, with_source
+from filtering.hypotheses import BIAS, POSE, Hypotheses, birth, concatenate, correlated_error, log_sum
 from filtering.measurement_noise import MeasurementNoise
 from filtering.mixture_reduction import reduce_mixture
 from filtering.motion import Odometry, OdometryBias
 from filtering.prediction import inflate, motion_of_state, predict
 from filtering.se3 import Poses
-from tests.helpers.simulation import ERRORS, STD, motion, seen_at
+from tests.helpers.simulation import motion, seen_at
 
 NEVER = OdometryBias(scale=0.0, relative_drift=0.0)
 
@@ -68,25 +66,6 @@ def test_the_log_of_a_sum_neither_overflows_nor_vanishes():
     assert log_sum(np.full(3, -np.inf)) == -np.inf
 
 
-# --- birth ------------------------------------------------------------------------------------------
-
-
-def test_a_newborn_errs_as_the_image_does_and_its_error_goes_with_the_images_lasting_one():
-    posterior = seen_at(Poses.identity(2), (0.7, 0.2))
-    h = birth(posterior, 0, 1, OdometryBias(scale=0.03), None)
-    assert (h.weights / h.weights[0]).tolist() == pytest.approx([1.0, (0.2 / 0.25) / (0.7 / 0.75)])
-    np.testing.assert_array_equal(h.pose_covariance, posterior.covariances)
-    np.testing.assert_allclose(h.covariance[:, 6, 6], 0.03**2)
-    np.testing.assert_allclose(h.covariance[0, range(7, 19), range(7, 19)], 1.0)
-    # The pose minus what lasts of the image's error is uncertain by the fresh share alone.
-    factor = np.sqrt(ERRORS.correlated_fraction) * np.diag(STD)
-    measured = np.hstack([np.eye(6), np.zeros((6, 7)), factor])
-    np.testing.assert_allclose(
-        measured @ h.covariance[0] @ measured.T, (1.0 - ERRORS.correlated_fraction) * np.diag(STD**2), atol=1e-15
-    )
-    assert np.linalg.eigvalsh(h.covariance).min() > 0.0
-
-
 def test_a_newborn_knows_of_the_odometrys_errors_what_the_heaviest_hypothesis_knows():
     belief = bank(3, weights=[0.2, 0.7, 0.1])
     h = birth(seen_at(Poses.identity(1)), 0, 1, OdometryBias(), belief)
@@ -94,15 +73,6 @@ def test_a_newborn_knows_of_the_odometrys_errors_what_the_heaviest_hypothesis_kn
     np.testing.assert_array_equal(h.covariance[0, BIAS, BIAS], belief.covariance[1, BIAS, BIAS])
     assert not h.mean[0, 7:].any()
     assert not h.covariance[0, POSE, BIAS].any()
-
-
-def test_one_more_camera_adds_its_errors_and_leaves_the_rest():
-    h = bank(3)
-    more = with_source(h)
-    np.testing.assert_array_equal(more.covariance[:, :19, :19], h.covariance)
-    np.testing.assert_array_equal(more.mean[:, :13], h.mean)
-    assert not more.covariance[:, :19, 19:].any()
-    np.testing.assert_array_equal(more.covariance[1, correlated_error(1), correlated_error(1)], np.eye(6))
 
 
 # --- motion -----------------------------------------------------------------------------------------
@@ -143,56 +113,6 @@ def test_many_hypotheses_move_as_the_transition_of_the_state_says():
     transition, noise = motion_of_state(odometry, slow, [0.7])
     after = predict(h, odometry, slow, [0.7]).covariance
     np.testing.assert_allclose(after, transition @ h.covariance @ transition.T + noise, atol=1e-12)
-
-
-@settings(max_examples=30)
-@given(
-    seed=st.integers(0, 10_000),
-    cuts=st.lists(st.floats(0.0, 1.0), min_size=1, max_size=5),
-)
-def test_two_motions_are_one_motion_that_is_both(seed, cuts):
-    """Without odometry bias, hypotheses after the parts equal those after `then`."""
-    rng = np.random.default_rng(seed)
-    start = birth(seen_at(Poses.exp(rng.standard_normal((3, 6))), (0.5, 0.3, 0.2)), 0, 1, NEVER, None)
-    parts = [
-        Odometry(Poses.exp(0.3 * rng.standard_normal(6)), random_covariances(1, 6, seed=seed + k, scale=0.05)[0], cut)
-        for k, cut in enumerate(cuts)
-    ]
-    whole = parts[0]
-    one = predict(start, parts[0], NEVER, [0.1])
-    for part in parts[1:]:
-        whole = whole.then(part)
-        one = predict(one, part, NEVER, [0.1])
-    both = predict(start, whole, NEVER, [0.1 * len(parts)])
-    np.testing.assert_allclose(one.poses.as_matrix(), both.poses.as_matrix(), atol=1e-9)
-    np.testing.assert_allclose(one.covariance, both.covariance, atol=1e-9)
-    np.testing.assert_allclose(one.mean, both.mean, atol=1e-12)
-
-
-def test_a_steady_motion_in_any_parts_leaves_the_same_belief_odometry_bias_and_all():
-    """The parts' odometry bias are taken as constant over each part: 30 of them differ by less than 2 % of a std."""
-    slow = OdometryBias(scale=0.02, relative_drift=1.0, time_s=30.0)
-    std, tangent = np.array([0.02, 0.01, 0.01, 0.005, 0.005, 0.01]), np.array([2.0, 0, 0.1, 0, 0, 0.1])
-    stds = []
-    for count in (1, 3, 30):
-        h = birth(seen_at(Poses.identity(1)), 0, 1, slow, None)
-        for _ in range(count):
-            h = predict(
-                h, motion(*(tangent / count), std=std / np.sqrt(count), duration_s=2.0 / count), slow, [4 / count]
-            )
-        stds.append(np.sqrt(np.diag(h.covariance[0])))
-    assert stds[0][0] > 1.1 * STD[0]  # precondition: the motion's errors count
-    np.testing.assert_allclose(stds[0], stds[2], rtol=0.03)
-    np.testing.assert_allclose(stds[1], stds[2], rtol=0.02)
-
-
-def test_the_errors_of_standing_stay_and_those_of_a_way_fade():
-    h = birth(seen_at(Poses.identity(1)), 0, 1, NEVER, None)
-    stood = predict(h, motion(0, 0, 0, 0, 0, 0, std=np.zeros(6), duration_s=3600.0), NEVER, [0.0])
-    np.testing.assert_allclose(stood.covariance[0][:6, 13:], h.covariance[0][:6, 13:])
-    walked = predict(h, motion(0, 0, 0, 0, 0, 0, std=np.zeros(6)), NEVER, [2.0])
-    np.testing.assert_allclose(walked.covariance[0][:6, 13:], np.exp(-2.0) * h.covariance[0][:6, 13:])
-    np.testing.assert_allclose(np.diag(walked.covariance[0])[13:], 1.0)
 
 
 def test_an_unknown_motion_adds_its_covariance_and_no_direction_is_known_less_than_none():

@@ -1,5 +1,7 @@
 """The story the library exists for: what one image leaves ambiguous resolves over time."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -11,11 +13,9 @@ from filtering.se3 import Poses
 from tests.helpers.simulation import (
     AHEAD,
     ERRORS,
-    FLOOR_HEIGHT_M,
     ODOMETRY_STD,
     OUT_OF_DISTRIBUTION,
     RNG,
-    STAY,
     Oracle,
     assert_same_belief,
     climb,
@@ -40,9 +40,6 @@ def localize(seed, num_frames, unique, config=None):
     return estimates, best.distance(truth)[0], truth
 
 
-# --- the story ------------------------------------------------------------------------------------
-
-
 @pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("seed", range(3))
 def test_an_ambiguous_belief_collapses_to_the_truth_once_a_unique_place_is_seen(seed):
@@ -53,41 +50,11 @@ def test_an_ambiguous_belief_collapses_to_the_truth_once_a_unique_place_is_seen(
     assert estimates[-1].status == "converged"
 
 
-@pytest.mark.usefixtures("unchecked")
-def test_without_a_unique_place_the_true_storey_stays_among_the_modes_and_convergence_is_never_claimed():
-    estimates, _, truth = localize(11, 40, unique=range(0))
-    assert all(estimate.status == "ambiguous" for estimate in estimates)
-    for i, estimate in enumerate(estimates):
-        nearest = min(float(mode.world_from_camera.distance(truth[i])[0]) for mode in estimate.modes)
-        assert nearest < 0.3
-
-
-def test_modes_are_a_storey_apart_and_their_covariance_does_not_bridge_them():
-    estimates, _, _ = localize(12, 5, unique=range(0))
-    modes = estimates[-1].modes
-    heights = np.sort([mode.world_from_camera.translation[2] for mode in modes])
-    np.testing.assert_allclose(np.diff(heights), FLOOR_HEIGHT_M, atol=0.3)
-    assert all(np.sqrt(mode.covariance[2, 2]) < 0.3 for mode in modes)
-    assert sum(mode.weight for mode in modes) == pytest.approx(1.0, abs=0.05)
-
-
 def test_the_same_seed_gives_the_same_bits_and_another_seed_does_not():
     first, second, other = (localize(seed, 6, range(0))[0][-1] for seed in (3, 3, 4))
     np.testing.assert_array_equal(first.particles.translation, second.particles.translation)
     np.testing.assert_array_equal(first.log_weights, second.log_weights)
     assert not np.array_equal(first.particles.translation[:1], other.particles.translation[:1])
-
-
-def test_weights_are_normalised_and_hypotheses_no_more_than_asked():
-    localizer = new_localizer(max_hypotheses=10)
-    estimates, _ = walk(localizer, 40, shares=(0.4, 0.3, 0.2), heights_m=(0.0, 3, 6))
-    for estimate in estimates:
-        assert len(estimate.particles) <= 10
-        assert np.exp(estimate.log_weights).sum() == pytest.approx(1.0)
-        assert (np.diff(estimate.log_weights) <= 1e-12).all()
-
-
-# --- the beginning --------------------------------------------------------------------------------
 
 
 @pytest.mark.usefixtures("unchecked")
@@ -147,17 +114,6 @@ def test_ood_images_are_lost_after_about_a_second_or_six_images_and_the_map_in_v
     assert "lost" not in statuses[max(rate, 3) :]
 
 
-def test_a_belief_whose_shares_say_sure_is_lost_all_the_same_when_images_fit_it_nowhere():
-    localizer = new_localizer()
-    before, _ = walk(localizer, 30)
-    assert before[-1].status == "converged"
-    for _ in range(30):
-        estimate = localizer.update(seen_at(Poses.exp(np.array([[50.0, 0, 0, 0, 0, 0]]))), STAY)
-    assert estimate.modes[0].weight > 0.9
-    assert estimate.status == "lost"
-    assert estimate.agreement < 0.3
-
-
 @pytest.mark.usefixtures("unchecked")
 def test_a_kidnapped_camera_is_followed_within_a_few_lengths_and_meanwhile_the_belief_is_not_sure():
     localizer = new_localizer()
@@ -174,23 +130,6 @@ def test_a_kidnapped_camera_is_followed_within_a_few_lengths_and_meanwhile_the_b
     assert "ambiguous" in statuses[:found]
     assert statuses[-1] == "converged"
     assert estimates[-1].modes[0].world_from_camera.distance(pose)[0] < 0.3
-
-
-def test_predicting_moves_the_belief_and_never_makes_it_surer():
-    localizer = new_localizer()
-    before, _ = walk(localizer, 30, shares=(0.6, 0.3), heights_m=(0.0, 3.0))
-    last = before[-1]
-    for _ in range(200):
-        estimate = localizer.predict(AHEAD)
-        np.testing.assert_allclose(
-            [mode.weight for mode in estimate.modes[:2]], [mode.weight for mode in before[-1].modes[:2]], atol=0.02
-        )
-        assert estimate.modes[0].widest_std_m >= last.modes[0].widest_std_m - 1e-9
-        assert (estimate.agreement, estimate.novelty, estimate.ood_score) == (before[-1].agreement, 0.0, 0.0)
-        last = estimate
-    moved = before[-1].modes[0].world_from_camera.distance(last.modes[0].world_from_camera)[0]
-    assert moved > 3.0
-    assert last.modes[0].widest_std_m > 1.5 * before[-1].modes[0].widest_std_m
 
 
 def test_a_belief_too_wide_is_not_converged_though_it_is_one():
@@ -226,32 +165,11 @@ def test_an_image_that_is_uninformative_leaves_the_belief_as_the_motion_alone_do
         assert mode.weight == other.weight
 
 
-class Recording:
-    """An observation model that knows where the camera is and counts the images it is shown."""
-
-    def __init__(self):
-        self.images = 0
-
-    def observe(self, image, *, rng):
-        self.images += 1
-        return seen_at(Poses.exp(0.01 * self.images * np.eye(6)[:1]))
-
-
 def test_an_image_that_equals_the_one_before_comes_from_a_frozen_camera_and_is_uninformative():
-    localizer = ParticleLocalizer(Recording(), rng=RNG(0))
-    assert not localizer.observe(image_of(1)).is_uninformative
-    assert localizer.observe(image_of(1)).is_uninformative
-    assert not localizer.observe(image_of(2)).is_uninformative
-    assert not localizer.observe(image_of(1)).is_uninformative
-
-
-def test_a_frozen_camera_on_a_moving_robot_moves_the_belief_by_odometry_alone():
-    frozen, moved = (ParticleLocalizer(Recording(), rng=RNG(0)) for _ in range(2))
-    for localizer in (frozen, moved):
-        for i in range(5):
-            localizer.step(image_of(i), STAY)
-    for _ in range(10):
-        assert_same_belief(frozen.step(image_of(4), AHEAD), moved.predict(AHEAD), atol=0)
+    model = SimpleNamespace(observe=lambda image, *, rng: seen_at(Poses.identity(1)))
+    localizer = ParticleLocalizer(model, rng=RNG(0))
+    found = [localizer.observe(image_of(index)).is_uninformative for index in (1, 1, 2, 1)]
+    assert found == [False, True, False, False]
 
 
 COVARIANCE = np.diag([0.25, 0.25, 0.04, 0.01, 0.01, 0.07])
@@ -289,13 +207,6 @@ def test_images_make_a_stated_pose_exact():
     estimates, pose = walk(localizer, 12, pose=truth)
     assert float(estimates[-1].modes[0].world_from_camera.distance(pose)[0]) < 0.15
     assert estimates[-1].status == "converged"
-
-
-def test_images_of_elsewhere_outweigh_a_stated_pose_that_is_wrong():
-    localizer = new_localizer()
-    localizer.start_at(Poses.exp(np.array([60.0, 0.0, 0.0, 0.0, 0.0, 0.0])), COVARIANCE, ERRORS)
-    estimates, pose = walk(localizer, 60)
-    assert float(estimates[-1].modes[0].world_from_camera.distance(pose)[0]) < 0.3
 
 
 @pytest.mark.parametrize("bad", [np.zeros((6, 6)), np.full((6, 6), np.nan), -np.eye(6)])

@@ -30,19 +30,6 @@ from tests.helpers.simulation import (
 # --- odometry -------------------------------------------------------------------------------------
 
 
-def test_odometry_that_errs_along_but_not_across_stays_so():
-    localizer = new_localizer(odometry_bias=OdometryBias(scale=0.0, relative_drift=0.0))
-    localizer.update(seen_at(Poses.identity(1), std=[1e-3] * 6), None)
-    for _ in range(20):
-        estimate = localizer.predict(motion(0.5, 0, 0, 0, 0, 0, std=[0.10, 0.002, 0.002, 1e-5, 1e-5, 1e-5]))
-    along, across, up = np.sqrt(np.diag(estimate.modes[0].covariance - ERRORS.constant_covariance(np.zeros((6, 6)))))[
-        :3
-    ]
-    assert along == pytest.approx(0.1 * np.sqrt(20), rel=0.01)
-    assert across < 0.02
-    assert up < 0.02
-
-
 @pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("too_long", [0.05, -0.05])
 def test_odometry_that_is_5_percent_off_is_found_out(too_long):
@@ -148,22 +135,6 @@ def test_without_odometry_the_belief_widens_by_the_stated_motion_and_keeps_its_h
     np.testing.assert_allclose(after.particles.translation, before.particles.translation)
     grown = np.diag([3.0**2] * 3 + [0.15**2] * 3)
     np.testing.assert_allclose(after.covariances, before.covariances + grown, atol=1e-12)
-
-
-def test_after_a_gap_the_image_finds_the_camera_among_the_hypotheses_as_far_as_it_may_have_come():
-    localizer = new_localizer()
-    _, pose = walk(localizer, 30)
-    moved = pose @ Poses.exp(np.array([1.5, -0.5, 0, 0, 0, 0.6]))
-    found = localizer.update(seen_at(moved), None, elapsed_s=2.0)
-    assert found.modes[0].world_from_camera.distance(moved)[0] < 0.1
-    assert found.modes[0].weight > 0.9
-
-
-def test_a_belief_that_forgets_starts_anew_from_the_image():
-    localizer = new_localizer(gap=GapConfig(action="forget"))
-    walk(localizer, 30)
-    there = seen_at(Poses.exp(np.array([[40.0, 3, 0, 0, 0, 2]])))
-    assert_same_belief(localizer.update(there, None), new_localizer().update(there, None), atol=0)
 
 
 @pytest.mark.parametrize(

@@ -31,35 +31,11 @@ def test_the_variances_of_an_image_grow_with_twice_the_power_of_its_score():
     assert model.growth(np.inf) == model.growth(2.0) == model.growth(1.0)
 
 
-@pytest.mark.parametrize("score", [0.0, 0.3, 1.0, 50.0])
-def test_without_a_power_every_image_errs_alike(score):
-    assert MeasurementNoise(typical_ood_score=0.3).growth(score) == 1.0
-
-
-def test_scaling_lengths_scales_lengths_and_the_flat_density_and_nothing_else():
-    model, factor = MeasurementNoise(), 30.0
-    scaled = model.scaled(factor)
-    assert (scaled.radius_m, scaled.length_m) == (pytest.approx(9.0), pytest.approx(15.0))
-    np.testing.assert_allclose(scaled.noise_floor, [1.5] * 3 + [0.03] * 3)
-    np.testing.assert_allclose(scaled.typical_std, [2.1] * 3 + [0.04] * 3)
-    # One cubic metre holds 1/30³ of what it did.
-    assert np.exp(scaled.log_clutter_density) == pytest.approx(np.exp(model.log_clutter_density) / factor**3)
-    same = (
-        "radius_rad",
-        "spread",
-        "degrees_of_freedom",
-        "outlier_probability",
-        "possible_fraction",
-        "correlated_fraction",
-        "length_rad",
-    )
-    same = (*same, "constant_fraction", "ood_power", "typical_ood_score")
-    assert all(getattr(scaled, name) == getattr(model, name) for name in same)
-
-
-def test_scaling_there_and_back_is_the_model_itself():
+def test_scaling_multiplies_lengths_and_scaling_back_gives_the_model_itself():
     model = MeasurementNoise(verified=MeasurementNoise(noise_floor=(0.01, 0.01, 0.02, 0.001, 0.001, 0.001)))
-    back = model.scaled(1000.0).scaled(1e-3)
+    scaled = model.scaled(1000.0)
+    assert (scaled.radius_m, scaled.length_m) == (1000.0 * model.radius_m, 1000.0 * model.length_m)
+    back = scaled.scaled(1e-3)
     for after, before in ((back, model), (back.verified, model.verified)):
         for name in vars(before).keys() - {"verified"}:
             np.testing.assert_allclose(getattr(after, name), getattr(before, name), rtol=1e-12)

@@ -8,7 +8,6 @@ from filtering.motion import (
     MotionNoise,
     Odometry,
     OdometryBias,
-    accumulated,
     covariance_factor,
     require_odometry,
 )
@@ -83,16 +82,6 @@ def test_what_composes_is_what_happens_to_poses():
     scale = np.sqrt(np.outer(np.diag(both.covariance), np.diag(both.covariance)))
     # 40 000 draws: entries of a correlation matrix have a standard error of at most √2/200; curvature adds its own.
     np.testing.assert_allclose(errors.T @ errors / 40_000 / scale, both.covariance / scale, atol=0.04)
-
-
-@pytest.mark.parametrize("turn", [0.0, 0.4, 3.0])
-def test_noise_that_comes_all_along_is_the_limit_of_many_small_errors(turn):
-    tangent = np.concatenate([TWIST[:3], [0.0, turn, 0.0]])
-    root = np.random.default_rng(1).normal(size=(6, 6))
-    noise, parts = root @ root.T, 2000
-    after = Poses.exp(-(np.arange(parts) + 0.5)[:, None] / parts * tangent).adjoint()
-    expected = (after @ noise @ np.swapaxes(after, 1, 2)).mean(axis=0)
-    np.testing.assert_allclose(accumulated(tangent, noise), expected, atol=1e-5 * np.abs(expected).max())
 
 
 def test_a_motion_in_no_time_errs_by_its_length_alone_and_none_at_all_does_not_err():

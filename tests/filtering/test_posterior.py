@@ -106,13 +106,6 @@ def test_places_kilometres_apart_are_told_from_their_neighbours():
         assert (own == own[0]).mean() > 0.98
 
 
-def test_samples_of_which_none_is_near_another_are_still_one_place():
-    samples = Poses.exp(np.concatenate([100.0 * np.arange(50)[:, None], np.zeros((50, 5))], axis=1))
-    posterior = PosePosterior.from_samples(samples, ERRORS)
-    assert len(posterior.weights) == 1
-    assert posterior.weights[0] == pytest.approx(1 / 50)
-
-
 def test_shares_never_exceed_one_and_every_place_has_samples():
     rng = np.random.default_rng(5)
     for _ in range(20):
@@ -180,15 +173,6 @@ def test_factors_are_square_roots_of_the_covariances_symmetric_in_ordinary_error
     np.testing.assert_allclose(relative, np.swapaxes(relative, 1, 2), atol=1e-9)
     diagonal = np.diag(np.square(STD))[None]
     np.testing.assert_allclose(with_covariances(diagonal).factors[0], np.diag(STD / unit) * unit, atol=1e-12)
-
-
-@pytest.mark.parametrize("factor", [1e-3, 30.0])
-def test_factors_do_not_depend_on_the_unit_of_length(factor):
-    """What lasts of an error is told in these units: it must be the same error in any map."""
-    lengths = np.repeat([factor, 1.0], 3)
-    covariances = any_covariances()
-    scaled = with_covariances(covariances * np.multiply.outer(lengths, lengths), ERRORS.scaled(factor))
-    np.testing.assert_allclose(scaled.factors, lengths[:, None] * with_covariances(covariances).factors, rtol=1e-7)
 
 
 # --- images unlike the training ---------------------------------------------------------------------

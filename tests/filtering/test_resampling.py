@@ -20,22 +20,6 @@ def log(weights):
         return np.log(weights)
 
 
-# --- systematic -------------------------------------------------------------------------------------
-
-
-def test_systematic_draws_are_unbiased():
-    rng = np.random.default_rng(0)
-    weights = rng.dirichlet(np.ones(7))
-    counts = sum(np.bincount(systematic(weights, 20, rng=rng), minlength=7) for _ in range(4000)) / 4000
-    np.testing.assert_allclose(counts, 20 * weights, atol=0.04)  # at most 4 standard errors of 0.5/√4000
-
-
-def test_zero_weight_particles_are_never_drawn():
-    weights = np.array([0.0, 0.3, 0.0, 0.7, 0.0])
-    drawn = np.concatenate([systematic(weights, 50, rng=np.random.default_rng(s)) for s in range(200)])
-    assert set(drawn) == {1, 3}
-
-
 @pytest.mark.parametrize("weights", WEIGHTS)
 def test_systematic_gives_each_index_its_share_rounded_down_or_up_whatever_the_weights_add_up_to(weights):
     for total in (1.0, 1e-9, 7.0):
@@ -48,9 +32,6 @@ def test_systematic_agrees_with_filterpy_for_the_same_offset(monkeypatch):
     monkeypatch.setattr("filterpy.monte_carlo.resampling.random", lambda: np.random.default_rng(4).random())
     theirs = systematic_resample(weights)
     np.testing.assert_array_equal(systematic(weights, 64, rng=np.random.default_rng(4)), theirs)
-
-
-# --- thinning out -----------------------------------------------------------------------------------
 
 
 @settings(max_examples=200)

@@ -31,11 +31,6 @@ def test_exp_is_the_matrix_exponential(tangent):
     np.testing.assert_allclose(Poses.exp(tangent).as_matrix(), expm(hat(tangent)), atol=1e-11)
 
 
-@given(tangents)
-def test_log_inverts_exp_below_half_a_turn(tangent):
-    np.testing.assert_allclose(Poses.exp(tangent).log(), tangent, atol=1e-9)
-
-
 @pytest.mark.parametrize("scale", [1e-7, 1e-3, 0.999e-2, 1.001e-2, 1.0, np.pi - 1e-7])
 def test_exp_and_log_agree_with_gtsam_at_every_angle(scale):
     rng = np.random.default_rng(1)
@@ -62,12 +57,6 @@ def test_quaternions_round_trip_in_xyzw_order(batch):
     np.testing.assert_array_equal(poses.as_quat_xyzw(known_valid=True), poses.as_quat_xyzw())
     quarter_about_z = Poses.from_quat_xyzw(np.zeros(3), np.array([0, 0, np.sqrt(0.5), np.sqrt(0.5)]))
     np.testing.assert_allclose(quarter_about_z.apply(np.array([1.0, 0, 0])), [0, 1, 0], atol=1e-12)
-
-
-def test_a_tangent_acts_on_the_right():
-    pose = Poses.exp(np.array([1.0, 0, 0, 0, 0, np.pi / 2]))
-    moved = pose @ Poses.exp(np.array([1.0, 0, 0, 0, 0, 0]))
-    np.testing.assert_allclose(moved.translation - pose.translation, [0, 1, 0], atol=1e-12)
 
 
 @given(tangents, tangents)
@@ -111,13 +100,6 @@ def test_mean_respects_weights():
 def test_a_quaternion_that_is_none_is_refused_with_its_value(quaternion):
     with pytest.raises(VaporTrackError, match="quaternion xyzw"):
         Poses.from_quat_xyzw(np.zeros(3), np.array(quaternion))
-
-
-@pytest.mark.parametrize("batch", BATCHES)
-def test_the_pose_between_two_is_the_inverse_of_one_composed_with_the_other(batch):
-    a, b = random_poses(11, *batch), random_poses(12, *batch)
-    assert_same(a.between(b), a.inverse() @ b)
-    assert_same(a.between(random_poses(13)), a.inverse() @ random_poses(13))
 
 
 def test_squared_distances_of_all_pairs_are_those_of_each_however_far_from_the_origin():

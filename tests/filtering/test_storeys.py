@@ -1,9 +1,5 @@
 """Storeys of a building: found where cameras were, the storey of a pose, and of a belief."""
 
-import os
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -14,7 +10,6 @@ from filtering.errors import VaporTrackError
 from filtering.estimate import Estimate, Mode
 from filtering.se3 import Poses
 from filtering.storeys import Storeys, peaks_of
-from tests.helpers.checkout import CHECKOUT
 from tests.helpers.corridors import corridor
 from tests.helpers.simulated_run import true_walk
 
@@ -95,16 +90,6 @@ def scipys_peaks(values, apart):
 @given(st.lists(st.integers(0, 6).map(float), min_size=1, max_size=40), st.integers(1, 12))
 def test_peaks_are_those_that_scipy_finds(values, apart):
     assert peaks_of(np.array(values), apart).tolist() == scipys_peaks(np.array(values), apart).tolist()
-
-
-def test_finding_storeys_does_not_load_the_signals_of_scipy():
-    code = "import sys; from filtering import storeys; storeys.peaks_of(storeys.np.arange(3.0), 1); print(*sys.modules)"
-    python = subprocess.run(
-        [sys.executable, "-c", code], env={**os.environ, "PYTHONPATH": str(CHECKOUT)}, capture_output=True, check=True
-    )
-    modules = python.stdout.decode().split()
-    assert "filtering.storeys" in modules
-    assert not {"scipy.signal", "scipy.stats"} & {*modules}
 
 
 def test_one_storey_is_none_and_neither_is_nothing():

@@ -55,15 +55,6 @@ def test_a_verified_image_makes_the_belief_as_sharp_as_it_is():
     assert sharp.status == "converged"
 
 
-def test_it_stays_sharp_on_odometry_while_images_are_coarse():
-    filtering = localizer()
-    filtering.update(seen([0.0], [0.0]), None)
-    for k in range(1, 6):
-        estimate = filtering.update(seen([0.1 * k + 0.4]), STEP)  # the network errs by 0.4 m, all the time
-    assert estimate.modes[0].world_from_camera.translation[0] == pytest.approx(0.5, abs=0.05)
-    assert estimate.modes[0].widest_std_m < 0.05
-
-
 def test_errors_of_the_network_are_not_those_of_landmarks():
     """The correlated error that coarse images show is not taken away from verified places."""
     filtering = localizer()

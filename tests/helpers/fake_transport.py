@@ -14,13 +14,7 @@ from sequences.recordings.source import TF_STATIC, RawMessage
 class FakeTransport:
     """A `Transport` without threads: subscribers are called by `say`, in the thread of the test.
 
-    Attributes:
-        name: What it is called.
-        subscribed: All subscriptions there were, in their order.
-        advertised: Topics that somebody publishes by it, with types and whether they are latched.
-        published: What was published, by topic, in its order.
-        in_order: The topics of all that was published, one by one.
-        is_closed: Whether it was left.
+    `advertised` has the type of each topic and whether it is latched; `in_order` the topics of all published messages.
     """
 
     name: str = "a made-up system"

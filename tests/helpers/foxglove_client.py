@@ -1,16 +1,15 @@
-"""A client of Foxglove's WebSocket protocol, in the standard library."""
+"""A client of Foxglove's WebSocket protocol."""
 
-import base64
+import asyncio
 import json
-import os
-import select
-import socket
 import struct
 import time
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-_TEXT, _BINARY, _CLOSE, _PING, _PONG = 1, 2, 8, 9, 10
+from tornado.ioloop import IOLoop
+from tornado.websocket import websocket_connect
+
 _MESSAGE = 1  # of the server's binary frames
 _SUBSCRIPTION = 7
 
@@ -23,28 +22,15 @@ class Served(NamedTuple):
 
 
 class FoxgloveClient:
-    """Connected to a server on this machine; used in a `with` block.
-
-    Attributes:
-        info: The server's description of itself.
-        channels: Offered channels by topic.
-    """
+    """Connected to a server on this machine; used in a `with` block. `channels` are those offered, by topic."""
 
     def __init__(self, port: int) -> None:
-        self._socket = socket.create_connection(("127.0.0.1", port), timeout=10)
-        key = base64.b64encode(os.urandom(16)).decode()
-        request = (
-            f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
-            f"Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: {key}\r\n"
-            "Sec-WebSocket-Protocol: foxglove.sdk.v1\r\n\r\n"
+        self._loop = IOLoop(make_current=False)
+        self._connection = self._loop.run_sync(
+            lambda: websocket_connect(f"ws://127.0.0.1:{port}", subprotocols=["foxglove.sdk.v1"]), timeout=10
         )
-        self._socket.sendall(request.encode())
-        answer = b""
-        while not answer.endswith(b"\r\n\r\n"):
-            answer += self._read(1)
-        assert answer.lower().startswith(b"http/1.1 101"), answer
-        assert b"sec-websocket-protocol: foxglove.sdk.v1" in answer.lower()
-        self.info: dict[str, Any] = {}
+        assert self._connection.selected_subprotocol == "foxglove.sdk.v1"
+        self._next: Any = None
         self.channels: dict[str, dict[str, Any]] = {}
         self._messages: list[Served] = []
 
@@ -52,17 +38,22 @@ class FoxgloveClient:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._socket.close()
+        async def leave() -> None:
+            self._connection.close()
 
-    def wait_for(self, *topics: str) -> None:
+        self._loop.run_sync(leave)
+        self._loop.close()
+
+    def wait_for(self, topic: str) -> None:
         end_s = time.monotonic() + 10
-        while not {*topics} <= self.channels.keys():
-            assert time.monotonic() < end_s, f"{topics} are not offered"
+        while topic not in self.channels:
+            assert time.monotonic() < end_s, f"{topic} is not offered"
             self._take()
 
     def subscribe(self, topic: str) -> None:
         subscription = {"id": _SUBSCRIPTION, "channelId": self.channels[topic]["id"]}
-        self._send(_TEXT, json.dumps({"op": "subscribe", "subscriptions": [subscription]}).encode())
+        text = json.dumps({"op": "subscribe", "subscriptions": [subscription]})
+        self._loop.run_sync(lambda: self._connection.write_message(text))
 
     def message(self, write: Callable[[], None], timeout_s: float = 10.0) -> Served:
         """The first message of the subscription.
@@ -75,44 +66,30 @@ class FoxgloveClient:
         while not self._messages:
             assert time.monotonic() < end_s, "no message"
             write()
-            if select.select([self._socket], [], [], 0.05)[0]:
-                self._take()
+            self._take()
         return self._messages.pop(0)
 
     def vanish(self) -> None:
         """Close without a farewell, as a browser that is killed."""
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-        self._socket.close()
+        self._connection.protocol.stream.close()
 
     def _take(self) -> None:
-        first, size = self._read(2)
-        if size >= 126:
-            (size,) = struct.unpack(">H" if size == 126 else ">Q", self._read(2 if size == 126 else 8))
-        kind, data = first & 0x0F, self._read(size)
-        if kind == _TEXT:
+        """Take what the server sends next, if it does at once."""
+
+        async def receive() -> None:
+            self._next = self._next or asyncio.ensure_future(self._connection.read_message())
+            await asyncio.wait({self._next}, timeout=0.05)
+
+        self._loop.run_sync(receive)
+        if not self._next.done():
+            return
+        data, self._next = self._next.result(), None
+        assert data is not None, "the server hung up"
+        if isinstance(data, str):
             content = json.loads(data)
-            if content["op"] == "serverInfo":
-                self.info = content
-            elif content["op"] == "advertise":
+            if content["op"] == "advertise":
                 self.channels |= {channel["topic"]: channel for channel in content["channels"]}
-        elif kind == _BINARY and data[0] == _MESSAGE:
+        elif data[0] == _MESSAGE:
             _, subscription, log_time_ns = struct.unpack_from("<BIQ", data)
             assert subscription == _SUBSCRIPTION
             self._messages.append(Served(log_time_ns, data[13:]))
-        elif kind == _PING:
-            self._send(_PONG, data)
-        assert kind != _CLOSE
-
-    def _read(self, size: int) -> bytes:
-        data = b""
-        while len(data) < size:
-            got = self._socket.recv(size - len(data))
-            assert got, "the server hung up"
-            data += got
-        return data
-
-    def _send(self, kind: int, data: bytes) -> None:
-        size = bytes([0x80 | len(data)]) if len(data) < 126 else struct.pack(">BH", 0x80 | 126, len(data))
-        mask = os.urandom(4)
-        masked = bytes(byte ^ mask[i % 4] for i, byte in enumerate(data))
-        self._socket.sendall(bytes([0x80 | kind]) + size + mask + masked)

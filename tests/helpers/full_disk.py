@@ -17,8 +17,7 @@ ENOUGH = 10**9
 class Disk:
     """Counts the calls that need room: files and folders that are made, renamed or written to.
 
-    Attributes:
-        room: For how many more calls there is room; negative once the disk was full.
+    `room` is the number of calls left; negative once the disk was full.
     """
 
     def __init__(self, room: int) -> None:

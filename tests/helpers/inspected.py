@@ -70,12 +70,8 @@ def write(
 
 def walked(count: int = 120, *, at: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Poses:
     turn = np.linspace(0.0, 4.0 * np.pi, count)
-    about = np.zeros((count, 3, 3))
-    about[:, 0, 0] = about[:, 1, 1] = np.cos(turn + np.pi / 2)
-    about[:, 1, 0] = np.sin(turn + np.pi / 2)
-    about[:, 0, 1] = -about[:, 1, 0]
-    about[:, 2, 2] = 1.0
-    return Poses(about @ LEVEL, np.column_stack([2 * np.cos(turn), 2 * np.sin(turn), 0 * turn]) + np.array(at))
+    about_z = Poses.exp(np.column_stack([np.zeros((count, 5)), turn + np.pi / 2])).rotation
+    return Poses(about_z @ LEVEL, np.column_stack([2 * np.cos(turn), 2 * np.sin(turn), 0 * turn]) + np.array(at))
 
 
 def only(inspection: Inspection, *said: str) -> str:

@@ -17,18 +17,14 @@ from sequences.outputs import MANIFEST, read_manifest
 from tests.helpers.command_line import main
 from tests.helpers.exported import take_apart
 from tests.helpers.pages import ReadPage
-from tests.helpers.tiny_model import SMALL
+from tests.helpers.sequence_files import Walk
+from tests.helpers.tiny_model import SMALL, write_tiny_model
 from vapor.engines.onnx_file import describe_onnx
 from vapor.tensor_files import CHECKSUM, read_safetensors
 
 LOADED = [
-    *(
-        "tests.helpers.killed_commands",
-        "vapor.track",
-        "vapor.commands.terminal",
-        "vapor.reporting.run_outputs",
-        "torch._dynamo",
-    ),
+    *("tests.helpers.killed_commands", "vapor.track", "vapor.commands.terminal", "vapor.reporting.run_outputs"),
+    "torch._dynamo",
     *("rerun", "pandas", "pyarrow.compute", "matplotlib.backends.backend_agg", "tyro._backends._argparse_formatter"),
     *("torch.onnx.utils", "onnx", "onnxruntime"),
     *(f"vapor.commands.{name}" for name in ("run", "train", "calibrate", "export")),
@@ -87,6 +83,13 @@ CALLS = {
         grows=True,
     ),
 }
+
+
+def write_inputs(folder: Path) -> None:
+    """The model and recordings that the calls read."""
+    write_tiny_model(folder / "tiny.safetensors")
+    Walk(24).write(folder / "walk.mcap")
+    Walk(12).write(folder / "other.mcap")
 
 
 def work(folder: Path, words: list[str]) -> None:

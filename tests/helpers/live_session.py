@@ -32,11 +32,9 @@ ELSEWHERE = Poses.exp(np.array([0.0, 0.0, 30.0, 0.0, 0.0, 0.0]))
 
 
 class KnowingModel(VaporObservationModel):
-    """An observation model that recognizes the colours of a walk of at most twelve images.
+    """An observation model that recognizes the colours of a walk of at most twelve images, in some seconds each.
 
-    Args:
-        places: How many places look alike: with two, the second is 30 m above.
-        seconds: How long an image takes.
+    Of two places that look alike the second is 30 m above the first.
     """
 
     def __init__(self, places: int = 1, seconds: float = 0.0) -> None:
@@ -64,14 +62,7 @@ class KnowingModel(VaporObservationModel):
 
 @dataclass
 class Running:
-    """A session that runs in a thread.
-
-    Attributes:
-        transport: Its system.
-        estimates: Arguments of the callback.
-        told: Messages to the user.
-        error: The exception that ended it, if any.
-    """
+    """A session that runs in a thread; `estimates` went to its callback, `told` to the user."""
 
     transport: FakeTransport
     session: LiveSession
@@ -85,12 +76,6 @@ class Running:
         kind = ANSWERS[topic]
         return [decoder(kind)(data) for data in list(self.transport.published[topic])]
 
-    def say(self, raws: list[RawMessage]) -> None:
-        for raw in raws:
-            self.transport.say(raw)
-            if raw.topic.startswith("/odom"):
-                time.sleep(0.001)
-
     def control(self, topic: str, kind: str = "std_msgs/Empty", **fields: Any) -> None:
         self.transport.say(RawMessage(topic, time.time_ns(), encoder(kind)(fields), kind, "cdr", b""))
 
@@ -102,15 +87,12 @@ class Running:
             time.sleep(0.005)
 
     def wait_told(self, text: str) -> None:
-        """Wait until a line for a person has these words."""
         self.wait(lambda: any(text in line for line in self.told))
 
     def wait_until_subscribed(self, topic: str = IMAGES) -> None:
-        """Wait until the session has subscribed."""
         self.wait(lambda: any(each.topic == topic for each in self.transport.subscribed))
 
     def wait_for_error(self, timeout_s: float = 5.0) -> BaseException:
-        """Wait until the session ended by an error."""
         end_s = time.monotonic() + timeout_s
         while self.error is None:
             assert time.monotonic() < end_s, self.told
@@ -138,7 +120,6 @@ def running(
     walk: Path,
     *,
     model: KnowingModel | None = None,
-    reading: ReadingOptions | None = None,
     on_estimate: Any = None,
     **settings: Any,
 ) -> Iterator[Running]:
@@ -146,7 +127,7 @@ def running(
     transport = offering(messages_of(walk))
     loaded = knowing(model or KnowingModel())
     told: list[str] = []
-    localization = LiveSession(loaded, transport, reading or ReadingOptions(), LiveConfig(**settings), told.append)
+    localization = LiveSession(loaded, transport, ReadingOptions(), LiveConfig(**settings), told.append)
     estimates: list[LiveEstimate] = []
     run = Running(transport, localization, estimates, told)
 

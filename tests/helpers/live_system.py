@@ -50,7 +50,7 @@ def ros_python(distribution: str) -> Path:
     return python
 
 
-def script_of(recording: Path, *, rate: float = 1.0, gate: str | None = "/estimate/pose") -> dict[str, Any]:
+def script_of(recording: Path) -> dict[str, Any]:
     """The script of a node that publishes a recording and listens to everything that `live` publishes."""
     bag = Bag(recording)
     names = [name for name in bag.topics if name != "/ground_truth/pose"]
@@ -62,7 +62,7 @@ def script_of(recording: Path, *, rate: float = 1.0, gate: str | None = "/estima
                 "topic": raw.topic,
                 "type": raw.type,
                 "latched": raw.topic == TF_STATIC,
-                "at_s": (raw.log_time_ns - begin_ns) * 1e-9 / rate,
+                "at_s": (raw.log_time_ns - begin_ns) * 1e-9,
                 "data": raw.data,
             }
             for raw in raws
@@ -70,7 +70,7 @@ def script_of(recording: Path, *, rate: float = 1.0, gate: str | None = "/estima
         "listen": dict(ANSWERS),
         "image": IMAGE,
         "needs": [IMAGE, ODOMETRY, CAMERA_INFO, TF_STATIC],
-        "gate": gate,
+        "gate": "/estimate/pose",
     }
 
 

@@ -34,24 +34,24 @@ class Walk:
     distances: np.ndarray
 
 
-def walk(num_images, *, rng, lifts=lambda i: (0.0,), errors=ERRORS, slow=BIAS, speed_m=0.05, unit=1.0):
+def walk(num_images, *, rng, lifts=lambda i: (0.0,), errors=ERRORS, speed_m=0.05, unit=1.0):
     """A walk along a wavy line. `lifts` of an image: heights of equally possible places above the true one, metres.
 
     Lengths are in metres times `unit`; the same generator gives the same walk in any unit.
     """
     errors, lengths = errors.scaled(unit), np.array([unit] * 3 + [1.0] * 3)
     std = np.asarray(errors.noise_floor)
-    scale, drift = slow.scale * rng.standard_normal(), rng.standard_normal(6)
+    scale, drift = BIAS.scale * rng.standard_normal(), rng.standard_normal(6)
     bias, tracker = rng.standard_normal(6), NoveltyTracker(errors.length_m, errors.length_rad)
     truth, odometry, posteriors, distances = [Poses.identity()], [None], [], [0.0]
     step_s = 0.1
     for i in range(num_images):
         if i:
             step = lengths * np.array([speed_m, 0, 0.2 * speed_m, 0, 0, 0.4 * speed_m * np.sin(i / 15)])
-            kept = np.exp(-step_s / slow.time_s)
+            kept = np.exp(-step_s / BIAS.time_s)
             drift = kept * drift + np.sqrt(1 - kept**2) * rng.standard_normal(6)
             noise = lengths * ODOMETRY_STD
-            wrong = slow.relative_drift * noise * np.sqrt(step_s) * drift + noise * rng.standard_normal(6)
+            wrong = BIAS.relative_drift * noise * np.sqrt(step_s) * drift + noise * rng.standard_normal(6)
             wrong[:3] += scale * step[:3]
             reported = Poses.exp(step) @ Poses.exp(wrong)
             truth.append(truth[-1] @ Poses.exp(step))

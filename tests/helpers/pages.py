@@ -3,6 +3,7 @@
 import base64
 import gzip
 import json
+import re
 import subprocess
 import sys
 from dataclasses import dataclass, field
@@ -10,6 +11,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
+_STYLE = {"colors", "radii", "names", "widths"}
 _VOID = {"meta", "img", "input", "br", "link", "rect"}
 
 
@@ -70,6 +72,8 @@ class ReadPage(HTMLParser):
 
 
 def entities_of(path: Path) -> set[str]:
+    """The entities of a recording that have more than a style."""
     command = [sys.executable, "-m", "rerun_cli", "rrd", "print", str(path)]
     text = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    return {line.split(" - ")[1].strip() for line in text.splitlines() if line.startswith("Chunk(")}
+    chunks = re.findall(r"^Chunk\(.* - (/\S*) - data columns: \[(.*)\]", text, re.MULTILINE)
+    return {entity for entity, columns in chunks if {*re.findall(r":(\w+)", columns)} - _STYLE}

@@ -2,7 +2,7 @@
 
 import copy
 import random
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -78,13 +78,18 @@ def _not_a_number(events: list[Event], rng: random.Random) -> list[Event]:
     """Numbers of some poses are NaN, infinite or too large; or the quaternion is zero."""
     chosen = {rng.randrange(len(events)) for _ in range(rng.choice([1, 3, len(events) // 2]))}
     value = rng.choice([float("nan"), float("inf"), 1e300, None])
-    for i in chosen:
-        for numbers in _numbers(events[i].message):
-            if value is None and "w" in numbers:
-                numbers.update(dict.fromkeys("xyzw", 0.0))
-            elif value is not None:
-                numbers[rng.choice([*numbers])] = value
-    return events
+
+    def spoilt(part: Any) -> Any:
+        if not isinstance(part, dict) or part.keys() not in ({*"xyz"}, {*"xyzw"}):
+            return part
+        if value is not None:
+            return {**part, rng.choice([*part]): value}
+        return dict.fromkeys("xyzw", 0.0) if "w" in part else part
+
+    return [
+        event._replace(message=_changed(event.message, spoilt)) if i in chosen else event
+        for i, event in enumerate(events)
+    ]
 
 
 def _late(events: list[Event], rng: random.Random) -> list[Event]:
@@ -115,7 +120,11 @@ def _renamed(events: list[Event], rng: random.Random) -> list[Event]:
         new = rng.choice(["/other", "", "/tf", old.upper(), rng.choice(TOPICS)])
         return [event._replace(topic=new) if event.topic == old else event for event in events]
     old, new = rng.choice(["camera", "base_link", "odom", "map"]), rng.choice(["", "x" * 300, "camera", "odom"])
-    return [event._replace(message=_named(event.message, old, new)) for event in events]
+
+    def renamed(part: Any) -> Any:
+        return new if part == old else part
+
+    return [event._replace(message=_changed(event.message, renamed)) for event in events]
 
 
 def _broken_image(events: list[Event], rng: random.Random) -> list[Event]:
@@ -151,33 +160,22 @@ FAULTS: list[Change] = [
 ]
 
 
+def _changed(message: Any, change: Callable[[Any], Any]) -> Any:
+    """A message of which every part was changed, the innermost first."""
+    if isinstance(message, list):
+        return [_changed(each, change) for each in message]
+    if isinstance(message, dict):
+        message = {name: _changed(value, change) for name, value in message.items()}
+    return change(message)
+
+
 def _shifted(message: Any, by_ns: int) -> Any:
     """A message with all stamps shifted, within the range of stamps."""
-    if isinstance(message, list):
-        return [_shifted(each, by_ns) for each in message]
-    if not isinstance(message, dict):
-        return message
-    if message.keys() == {"sec", "nanosec"}:
-        sec, nanosec = divmod(message["sec"] * SECOND + message["nanosec"] + by_ns, SECOND)
+
+    def shift(part: Any) -> Any:
+        if not isinstance(part, dict) or part.keys() != {"sec", "nanosec"}:
+            return part
+        sec, nanosec = divmod(part["sec"] * SECOND + part["nanosec"] + by_ns, SECOND)
         return {"sec": min(max(sec, -(2**31)), 2**31 - 1), "nanosec": nanosec}
-    return {name: _shifted(value, by_ns) for name, value in message.items()}
 
-
-def _named(message: Any, old: str, new: str) -> Any:
-    if isinstance(message, list):
-        return [_named(each, old, new) for each in message]
-    if isinstance(message, dict):
-        return {name: _named(value, old, new) for name, value in message.items()}
-    return new if message == old else message
-
-
-def _numbers(message: Any) -> Iterator[dict[str, float]]:
-    if isinstance(message, list):
-        for each in message:
-            yield from _numbers(each)
-    elif isinstance(message, dict):
-        if message.keys() in ({"x", "y", "z"}, {"x", "y", "z", "w"}):
-            yield message
-        else:
-            for value in message.values():
-                yield from _numbers(value)
+    return _changed(message, shift)

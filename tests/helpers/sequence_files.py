@@ -155,16 +155,9 @@ def write_listing(bag: Path) -> Path:
 
 
 def as_file_without_index(source: Path, folder: Path) -> Path:
-    return rewrite(
-        source,
-        folder / "without_index.mcap",
-        chunk_size=4000,
-        index_types=IndexType.NONE,
-        repeat_channels=False,
-        repeat_schemas=False,
-        use_statistics=False,
-        use_summary_offsets=False,
-    )
+    left_out = ("repeat_channels", "repeat_schemas", "use_statistics", "use_summary_offsets")
+    options = {"chunk_size": 4000, "index_types": IndexType.NONE, **dict.fromkeys(left_out, False)}
+    return rewrite(source, folder / "without_index.mcap", **options)
 
 
 def as_file_without_chunks(source: Path, folder: Path) -> Path:
@@ -182,16 +175,10 @@ def as_packed_messages(source: Path, folder: Path) -> Path:
 
 
 def _as_rosbag2(source: Path, target: Path, storage: StoragePlugin, *, packed: bool = False) -> Path:
-    types = get_typestore(Stores.ROS2_HUMBLE)
     out = rosbag2.Writer(target, version=8, storage_plugin=storage)
     if packed:
         out.set_compression(rosbag2.CompressionMode.MESSAGE, rosbag2.CompressionFormat.ZSTD)
-    with out:
-        connections: dict[str, Any] = {}
-        for schema, channel, message in _messages(source):
-            if channel.topic not in connections:
-                connections[channel.topic] = out.add_connection(channel.topic, schema.name, typestore=types)
-            out.write(connections[channel.topic], message.log_time, message.data)
+    _copy(source, out, get_typestore(Stores.ROS2_HUMBLE), lambda data, _: data)
     return target
 
 
@@ -202,32 +189,25 @@ def as_ros1_bag(source: Path, folder: Path) -> Path:
     target = folder / "one.bag"
     out = rosbag1.Writer(target)
     out.set_compression(rosbag1.Writer.CompressionFormat.LZ4)
-    with out:
-        connections: dict[str, Any] = {}
-        for schema, channel, message in _messages(source):
-            if channel.topic not in connections:
-                connections[channel.topic] = out.add_connection(channel.topic, schema.name, typestore=types_of_ros1)
-            data = types.cdr_to_ros1(message.data, schema.name)
-            out.write(connections[channel.topic], message.log_time, data)
+    _copy(source, out, types_of_ros1, types.cdr_to_ros1)
     return target
 
 
-def _messages(source: Path) -> Iterator[tuple[Any, Any, Any]]:
-    with open(source, "rb") as stream:
-        yield from make_reader(stream).iter_messages()
+def _copy(source: Path, out: Any, types: Any, encoded: Callable[[Any, str], Any]) -> None:
+    """Write the messages of a file by another library's writer, each as `encoded` makes it of data and type."""
+    connections: dict[str, Any] = {}
+    with open(source, "rb") as stream, out:
+        for schema, channel, message in make_reader(stream).iter_messages():
+            assert schema is not None
+            if channel.topic not in connections:
+                connections[channel.topic] = out.add_connection(channel.topic, schema.name, typestore=types)
+            out.write(connections[channel.topic], message.log_time, encoded(message.data, schema.name))
 
 
 FORMS = [
-    as_file,
-    as_split_folder,
-    as_file_without_index,
-    as_file_without_chunks,
-    as_sqlite_folder,
-    as_packed_messages,
-    as_ros1_bag,
+    *(as_file, as_split_folder, as_file_without_index, as_file_without_chunks),
+    *(as_sqlite_folder, as_packed_messages, as_ros1_bag),
 ]
-
-
 Form = Callable[[Path, Path], Path]
 
 

@@ -15,10 +15,10 @@ FLOOR_M = 3.0
 CAMERA = Camera(width=160, height=120, fx=120.0, fy=120.0, cx=79.5, cy=59.5)
 
 
-def true_walk(count: int, *, storeys: int = 5, height_m: float = FLOOR_M) -> Poses:
+def true_walk(count: int, *, storeys: int = 5) -> Poses:
     """Poses up a stairwell: two flights a storey, the camera looking along its way."""
     turn = np.linspace(0.0, 2 * np.pi * (storeys - 1), count)
-    translation = np.stack([1.2 * np.cos(turn), 2.0 * np.sin(turn), 1.6 + height_m * turn / (2 * np.pi)], axis=1)
+    translation = np.stack([1.2 * np.cos(turn), 2.0 * np.sin(turn), 1.6 + FLOOR_M * turn / (2 * np.pi)], axis=1)
     translation[:, 2] += 0.03 * np.sin(9 * turn)
     yaw = turn + np.pi / 2
     forward = np.stack([np.cos(yaw), np.sin(yaw), np.zeros(count)], axis=1)
@@ -26,14 +26,14 @@ def true_walk(count: int, *, storeys: int = 5, height_m: float = FLOOR_M) -> Pos
     return Poses(np.stack([np.cross(down, forward), down, forward], axis=-1), translation)
 
 
-def simulated_steps(count=200, *, seed=0, with_truth=True, with_odometry=True, start_ns=1_700_000_000_000_000_000):
+def simulated_steps(count=200, *, seed=0, with_truth=True, start_ns=1_700_000_000_000_000_000):
     """Yield (frame, step): the belief is on five storeys until a third of the way. There are no baselines."""
     rng = np.random.default_rng(seed)
     truth = true_walk(count)
     v, u = np.mgrid[:120, :160]
     for i in range(count):
         odometry = None
-        if with_odometry and i:
+        if i:
             drift = np.array([0.0, 0.002, 0.006, 0.0, 0.006, 0.0]) + 0.004 * rng.standard_normal(6)
             odometry = Odometry(truth[i - 1].inverse() @ truth[i] @ Poses.exp(drift), np.diag([1e-4] * 6), 0.1)
         image = np.stack([120 + 80 * np.sin((u + 3 * i) / 9), 110 + 70 * np.cos(v / 7), 90 + v], -1).astype(np.uint8)

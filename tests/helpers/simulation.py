@@ -20,7 +20,6 @@ ODOMETRY_STD = np.array([0.005] * 3 + [0.003] * 3)
 POSTERIOR_STD = np.array([0.15] * 3 + [0.1] * 3)
 ERRORS = MeasurementNoise()
 STD = np.array([0.1, 0.1, 0.1, 0.05, 0.05, 0.05])
-STILL = Poses.identity()
 
 
 def motion(*tangent, std=ODOMETRY_STD, duration_s=0.1):

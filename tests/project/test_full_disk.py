@@ -16,9 +16,9 @@ from sequences.trajectories.tum import write_tum
 from tests.helpers.command_line import main
 from tests.helpers.full import FULL, some
 from tests.helpers.full_disk import ENOUGH, filling
-from tests.helpers.killed_commands import CALLS, Call, Killing
+from tests.helpers.killed_commands import CALLS, Call, Killing, write_inputs
 from tests.helpers.sequence_files import Walk
-from tests.helpers.tiny_model import SMALL, write_tiny_model
+from tests.helpers.tiny_model import SMALL
 
 MORE = {
     "synthesize": Call(
@@ -38,9 +38,7 @@ pytestmark = pytest.mark.usefixtures("unchecked", "rough_light")
 def folder(tmp_path, monkeypatch):
     """The working directory, with all that the calls read."""
     monkeypatch.chdir(tmp_path)
-    write_tiny_model(tmp_path / "tiny.safetensors")
-    Walk(24).write(tmp_path / "walk.mcap")
-    Walk(12).write(tmp_path / "other.mcap")
+    write_inputs(tmp_path)
     (tmp_path / "trajectories").mkdir()
     times_ns, poses = zip(*Walk(12).truth, strict=True)
     for name in ("trajectory.tum", "ground_truth.tum"):

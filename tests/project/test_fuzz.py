@@ -13,7 +13,7 @@ from filtering.errors import MAX_MESSAGE
 from sequences.errors import SequenceError
 from tests.fuzz import __main__ as command
 from tests.fuzz import cases
-from tests.fuzz.cases import Sample, Verdict, keep
+from tests.fuzz.cases import Sample
 from tests.fuzz.damage import with_checksum
 from tests.fuzz.mcap_damage import put_together, stated_images, take_apart
 from tests.fuzz.readers import READERS
@@ -129,24 +129,6 @@ def _messages(found: list) -> list:
     return [record for record in flat if record.opcode == Opcode.MESSAGE]
 
 
-def test_kept_cases_are_the_same_where_sines_have_other_last_bits(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for name in ("here", "elsewhere"):
-        (tmp_path / name).mkdir()
-    monkeypatch.setattr(cases, "_CORPUS", tmp_path / "corpus.jsonl")
-    here = Sample("mcap", tmp_path / "here")
-    kept = [{"walk.mcap": here.files["walk.mcap"][:-900]}, {"walk.mcap": b""}, {"walk.mcap": None}]
-    assert all(keep(here, changes, Verdict("failure", "a cause")) for changes in kept)
-    sin = np.sin
-    monkeypatch.setattr(np, "sin", lambda angles: np.nextafter(sin(angles), np.inf))
-    assert Sample("mcap", tmp_path / "elsewhere").files != here.files
-    replayed = []
-    monkeypatch.setattr(Sample, "judge", lambda self, changes, damage: replayed.append(changes))
-    assert [name for name, _ in cases.replay()] == ["mcap"] * 3
-    assert replayed == kept
-
-
 @pytest.mark.parametrize("name", ["model", "model-retrieval", "training-state"])
 def test_models_are_damaged_under_checksums_that_fit(name: str, tmp_path: Path) -> None:
     sample = Sample(name, tmp_path)
@@ -178,7 +160,9 @@ def test_exported_models_are_damaged_under_digests_and_checksums_that_fit(tmp_pa
 
 
 def test_what_once_failed_fails_no_more() -> None:
-    for name, verdict in cases.replay():
+    replayed = [*cases.replay()]
+    assert replayed
+    for name, verdict in replayed:
         assert verdict.outcome != "failure", f"{name}: {verdict.cause}: {verdict.details}: {verdict.damage}"
 
 

@@ -12,9 +12,7 @@ from typing import Any
 import pytest
 
 from tests.helpers.full import some
-from tests.helpers.killed_commands import CALLS, LOADED, Killing
-from tests.helpers.sequence_files import Walk
-from tests.helpers.tiny_model import write_tiny_model
+from tests.helpers.killed_commands import CALLS, LOADED, Killing, write_inputs
 
 KILLS = int(os.environ.get("KILLS", "1"))
 
@@ -35,9 +33,7 @@ def processes() -> Any:
 @pytest.mark.parametrize("name", some(1, sorted(CALLS, key=["train"].__contains__, reverse=True)))
 def test_a_command_killed_at_any_moment_leaves_what_is_whole_and_succeeds_when_restarted(name, processes, tmp_path):
     call, rng, old = CALLS[name], random.Random(f"{name} {KILLS}"), tmp_path / "old"
-    write_tiny_model(tmp_path / "tiny.safetensors")
-    Walk(24).write(tmp_path / "walk.mcap")
-    Walk(12).write(tmp_path / "other.mcap")
+    write_inputs(tmp_path)
     killing = Killing(call, tmp_path, processes)
     needed_s, known = {NOTHING: killing.finish()}, killing.found()
     shutil.copytree(killing.out, old)

@@ -34,6 +34,7 @@ def test_a_name_that_is_not_public_is_no_attribute():
     [
         ("import vapor", {"torch", "numpy", "cv2", "gtsam"}),
         ("import vapor; vapor.ParticleLocalizer, vapor.SequenceReader", {"torch"}),
+        ("from filtering import storeys; storeys.peaks_of(storeys.np.arange(3.0), 1)", {"scipy.signal", "scipy.stats"}),
     ],
 )
 def test_importing_loads_only_the_needed_packages(code, absent):

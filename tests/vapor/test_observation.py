@@ -3,20 +3,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from scipy.signal import find_peaks
 
-from filtering.config import LocalizerConfig
 from filtering.errors import VaporTrackError
 from filtering.localizer import ParticleLocalizer
 from filtering.measurement_noise import MeasurementNoise
-from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
-from filtering.se3 import Poses
-from filtering.storeys import Storeys
-from tests.helpers.checkpoints import BOX
-from tests.helpers.observing import CONFIG, IMAGE, MODEL, observe, uncalibrated
+from tests.helpers.observing import CONFIG, IMAGE, observe, uncalibrated
 from vapor.checkpoints.calibration import Calibration
-from vapor.checkpoints.file_format import find_model, load_checkpoint, save_checkpoint
 from vapor.images import prepare
 from vapor.observation import VaporObservationModel
 from vapor.tensor_files import CheckpointError
@@ -33,17 +26,6 @@ def test_observing_draws_from_no_global_generator():
     observe(IMAGE)
     assert torch.equal(torch.get_rng_state(), torch_before)
     np.testing.assert_array_equal(np.random.get_state(legacy=False)["state"]["key"], numpy_before)  # noqa: NPY002
-
-
-def test_samples_are_rigid_transforms_inside_the_scene_box():
-    poses = observe(IMAGE).samples
-    assert poses.batch_shape == (50,)
-    assert poses.translation.dtype == np.float64
-    np.testing.assert_allclose(
-        poses.rotation @ np.swapaxes(poses.rotation, 1, 2), np.tile(np.eye(3), (50, 1, 1)), atol=1e-6
-    )
-    assert (poses.translation >= BOX.lower).all()
-    assert (poses.translation <= BOX.upper).all()
 
 
 def test_samples_are_those_of_the_network_for_the_same_noise():
@@ -99,25 +81,6 @@ def test_the_calibration_says_what_is_a_place_and_how_it_errs():
     assert (posterior.errors, posterior.ood_score) == (errors, 0.0)
 
 
-def test_a_model_file_observes_as_the_checkpoint_it_was_saved_from(tmp_path):
-    save_checkpoint(tmp_path / "m.safetensors", uncalibrated())
-    path = str(tmp_path / "m.safetensors")
-    model = VaporObservationModel.from_checkpoint(path, num_samples=50, device="cpu", engine="torch")
-    np.testing.assert_array_equal(observe(IMAGE, model=model).samples.translation, observe(IMAGE).samples.translation)
-
-
-@pytest.mark.parametrize("name", ["staircase", "ceiling"])
-def test_the_storeys_of_the_models_that_ship_are_those_that_the_peaks_of_scipy_give(name, monkeypatch):
-    poses = load_checkpoint(find_model(name)).prior_poses
-    found = Storeys.found_in(poses)
-    monkeypatch.setattr(
-        "filtering.storeys.peaks_of",
-        lambda values, apart: find_peaks(np.concatenate([[0.0], values, [0.0]]), distance=apart)[0] - 1,
-    )
-    assert found == Storeys.found_in(poses)
-    assert (found is not None) == (name == "staircase")
-
-
 def test_unknown_models_and_absent_devices_are_refused():
     with pytest.raises(CheckpointError, match="atrium: no such model"):
         VaporObservationModel.from_checkpoint("atrium")
@@ -126,24 +89,6 @@ def test_unknown_models_and_absent_devices_are_refused():
     if not torch.cuda.is_available():
         with pytest.raises(VaporTrackError, match="no CUDA device"):
             VaporObservationModel(uncalibrated(), device="cuda")
-
-
-def test_a_step_whose_image_is_refused_leaves_the_localizer_as_it_was():
-    localizer, untouched = (
-        ParticleLocalizer(MODEL, LocalizerConfig(max_hypotheses=50), rng=np.random.default_rng(3)) for _ in range(2)
-    )
-    still = Odometry(Poses.identity(), 1e-4 * np.eye(6), 0.1)
-    for both in (localizer, untouched):
-        both.step(IMAGE, None)
-    with pytest.raises(VaporTrackError, match=r"shape \(60, 80\) and type uint8, expected \(H, W, 3\)"):
-        localizer.step(IMAGE[..., 0], still)
-    with pytest.raises(VaporTrackError, match="not finite"):
-        localizer.step(IMAGE, Odometry(Poses.identity(), np.full((6, 6), np.nan), 0.1))  # the network has drawn by then
-    after, expected = localizer.step(IMAGE, still), untouched.step(IMAGE, still)
-    np.testing.assert_array_equal(after.particles.translation, expected.particles.translation)
-    np.testing.assert_array_equal(after.log_weights, expected.log_weights)
-    larger = localizer.step(np.kron(IMAGE, np.ones((3, 3, 1), np.uint8)), still)
-    assert np.isfinite(larger.log_weights).all()
 
 
 def test_a_network_that_yields_nan_is_an_error_and_no_estimate():

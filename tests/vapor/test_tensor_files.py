@@ -10,7 +10,6 @@ from safetensors.torch import save_file
 from tests.helpers.checkpoints import SMALL, make_checkpoint
 from vapor.checkpoints.file_format import SHIPPED, load_checkpoint, save_checkpoint
 from vapor.evaluation.validation import Validation
-from vapor.regressors.backbones import load_pretrained
 from vapor.tensor_files import CHECKSUM, CheckpointError, content_sha256, read_safetensors, write_safetensors
 from vapor.training.config import TrainConfig
 from vapor.training.state import load_state, save_state, start
@@ -113,14 +112,6 @@ def test_models_that_ship_state_their_camera():
 def test_files_of_others_are_taken_without_a_checksum(tmp_path):
     save_file({"a": torch.ones(2)}, tmp_path / "a.safetensors", {"format": "pt", "origin": "elsewhere"})
     assert read_safetensors(tmp_path / "a.safetensors")[1]["a"].tolist() == [1.0, 1.0]
-
-
-def test_pretrained_weights_from_a_damaged_model_of_ours_are_refused(model):
-    content = model.read_bytes()
-    load_pretrained(make_checkpoint().build_network(), model)
-    model.write_bytes(flipped(content, 8 * len(content) - 100))
-    with pytest.raises(CheckpointError, match=DAMAGED):
-        load_pretrained(make_checkpoint().build_network(), model)
 
 
 def test_a_damaged_state_of_a_training_is_refused_with_what_to_do(tmp_path):

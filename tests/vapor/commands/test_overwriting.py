@@ -2,12 +2,8 @@
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from filtering.se3 import Poses
-from sequences.frame import Trajectory
-from sequences.trajectories.tum import write_tum
 from tests.helpers.command_line import contents, main, refuse, words_of_run
 from tests.helpers.data_sets import make_7scenes, make_colmap
 from tests.helpers.tiny_model import SMALL
@@ -98,20 +94,6 @@ def test_files_of_the_same_kind_are_replaced(name, own, belongings, capsys):
         refuse([*words[name], own], capsys, "gone.mcap")
 
 
-def test_a_file_that_is_read_is_not_written_to(belongings, capsys):
-    before = contents(belongings)
-    words = {"calibrate": "m.safetensors", "posterior": "walk.mcap"}
-    for name, output in words.items():
-        refuse([*OUTPUTS[name], output, "--overwrite"], capsys, f"{output}: is read")
-    refuse([*OUTPUTS["train"], "m.safetensors", "--initial-model", "m.safetensors"], capsys, "m.safetensors: is read")
-    truth = belongings / "own" / "ground_truth.tum"
-    truth.parent.mkdir()
-    write_tum(truth, Trajectory(np.array([0, 10**9]), Poses.identity(2)))
-    words = [*OUTPUTS["run"], "own", "--poses", str(truth), "--overwrite"]
-    refuse(words, capsys, "ground_truth.tum: is read, and would be written to")
-    assert contents(belongings).items() >= before.items()
-
-
 IMAGE, POSE = "data/seq-01/frame-000003.color.png", "data/seq-01/frame-000003.pose.txt"
 
 READ = {
@@ -121,6 +103,7 @@ READ = {
         ["train", "walk.mcap", "--pretrained-weights", "m.training.safetensors", "--output"],
         ["m.training.safetensors", "m.safetensors"],  # beside which the state of the training lies
     ),
+    "initial model": ([*OUTPUTS["train"][:-1], "--initial-model", "m.safetensors", "--output"], ["m.safetensors"]),
     "poses": (["train", "walk.mcap", "--poses", "truth.tum", "--output"], ["truth.tum", "times.txt"]),
     "data set": (["train", "data", "--output"], [IMAGE, POSE]),
     "list": (["train", "data/TrainSplit.txt", "--output"], ["data/TrainSplit.txt", IMAGE]),

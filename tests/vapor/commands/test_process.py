@@ -14,8 +14,6 @@ from tests.helpers.checkout import CHECKOUT
 from tests.helpers.command_line import refuse, words_of_run
 from vapor.track import main
 
-# --- models and outputs that cannot be used -------------------------------------------------------
-
 
 @pytest.mark.parametrize(
     ("error", "said"),
@@ -58,9 +56,6 @@ def process(words: list[str], folder: Path, *python: str) -> subprocess.Complete
     environment = {**os.environ, "PYTHONPATH": path, "PYTHONHASHSEED": "77"}
     command = [sys.executable, *python, *words]
     return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=120)
-
-
-# --- the process itself ---------------------------------------------------------------------------
 
 
 def test_help_and_version_load_no_network_library(tmp_path):

@@ -9,25 +9,18 @@ import sys
 import time
 from pathlib import Path
 
-import numpy as np
 import pytest
 from rich.cells import cell_len
 
 from filtering.errors import MAX_MESSAGE, shortened
-from filtering.se3 import Poses
-from sequences.frame import Trajectory
-from sequences.trajectories.tum import write_tum
 from tests.helpers.checkout import CHECKOUT
 from tests.helpers.command_line import main
-from tests.helpers.simulated_run import simulated_steps
-from vapor.benchmark.figures import new_table
+from tests.helpers.simulated_run import simulated_record
 from vapor.commands import console
 from vapor.commands.terminal import Signals, write_error
 from vapor.pipeline.batch import Outcome, format_batch
-from vapor.reporting.report import format_table
-from vapor.tracking.methods import METHODS
+from vapor.reporting.report import build_report, format_table
 
-ROOT = CHECKOUT
 COMMAND = [sys.executable, "-c", "from vapor.track import main; raise SystemExit(main())"]
 SLEEPING = """
 import sys, time, vapor.commands
@@ -54,7 +47,7 @@ def started(words, **options):
         for number in (signal.SIGINT, signal.SIGHUP):
             signal.signal(number, signal.SIG_DFL)
 
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    environment = {**os.environ, "PYTHONPATH": str(CHECKOUT)}
     environment.update(options.pop("env", {}))
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "encoding": "latin-1"}
     return subprocess.Popen(words, env=environment, preexec_fn=foreground, **{**pipes, **options})
@@ -71,10 +64,8 @@ def test_a_signal_undoes_what_the_command_began_and_ends_it_with_a_line_and_128_
     process.send_signal(number)
     process.send_signal(number)  # what a terminal that closes does
     out, err = process.communicate(timeout=20)
-    assert process.returncode in (
-        128 + number,
-        -number,
-    )  # the second may come when Python has ended: a shell says 128 + n
+    # The second may come when Python has ended: a shell says 128 + n.
+    assert process.returncode in (128 + number, -number)
     assert out == "undone\n"
     by = "" if name == "SIGINT" else f" by {name}"
     assert err == f"vapor-track evaluate: interrupted{by}\n"
@@ -186,11 +177,8 @@ def test_ctrl_c_at_a_terminal_is_answered_by_one_process_also_while_workers_star
     ("words", "unbuffered"), [(["--help"], ""), (["evaluate", "--help"], ""), (["evaluate", "{run}"], "1")]
 )
 def test_a_full_device_is_told_in_one_line(words, unbuffered, tmp_path):
-    steps = simulated_steps(3)
-    frames = [frame for frame, *_ in steps]
-    walk = Trajectory(np.array([f.time_ns for f in frames]), Poses.stack([f.world_from_camera for f in frames]))
     for name in ("trajectory.tum", "ground_truth.tum"):
-        write_tum(tmp_path / name, walk)
+        (tmp_path / name).write_text("".join(f"{i}.0 {i} 0 0 0 0 0 1\n" for i in range(5)))
     words = [word.format(run=tmp_path) for word in words]
     with Path("/dev/full").open("w") as full:
         process = started([*COMMAND, *words], stdout=full, env={"PYTHONUNBUFFERED": unbuffered})
@@ -293,56 +281,42 @@ def shown(table, width, capsys, monkeypatch, **environment):
     return capsys.readouterr().out
 
 
-RUNS = {
-    "frames": 9,
-    **{
-        name: {
-            "median_translation_m": 12.345,
-            "median_rotation_deg": 123.4,
-            "recall": {"0.1m/10deg": 0.123, "0.2m/15deg": 0.5, "0.3m/20deg": 1.0},
-            "worse_than": {"0.25": 0.1, "0.5": 0.05, "1.0": 0.0},
-            "success": True,
-            "converged_at_s": 123.4,
-        }
-        for name in METHODS
-    },
-}
-OUTCOMES = [
-    Outcome(
-        f"walk-{'x' * length}",
-        "walk.mcap",
-        images=10_000,
-        duration_s=1234.5,
-        status={"converged": 0.987},
-        final_status="converged",
-        images_with_true_pose=10_000,
-        median_translation_m=12.34,
-        median_rotation_deg=123.4,
-        success=True,
-    )
-    for length in (1, 20)
-]
-TABLES = {
-    "run": lambda: format_table(RUNS, title="a-walk-of-a-long-name.mcap"),
-    "fuse": lambda: format_table(RUNS, title="poses.txt", large_errors=True),
-    "batch": lambda: format_batch(OUTCOMES),
-    "benchmark": lambda: new_table("a title", "method", *(f"heading\n{i} m" for i in range(8))),
-}
+@pytest.fixture(scope="module")
+def report():
+    found = build_report(simulated_record(30))
+    for method in ("single_image", "dead_reckoning", "filter"):
+        found[method] |= {"median_translation_m": 12.345, "median_rotation_deg": 123.4}
+    return found
+
+
+OUTCOME = Outcome(
+    "walk-in-a-building",
+    "walk.mcap",
+    images=10_000,
+    duration_s=1234.5,
+    status={"converged": 0.987},
+    final_status="converged",
+    images_with_true_pose=10_000,
+    median_translation_m=12.34,
+    median_rotation_deg=123.4,
+    success=True,
+)
 
 
 @pytest.mark.parametrize("width", [30, 40, 80])
-@pytest.mark.parametrize("name", TABLES)
-def test_tables_of_the_commands_have_every_word_and_those_of_runs_fit_80_columns(name, width, capsys, monkeypatch):
-    table = TABLES[name]()
-    if not table.rows:
-        table.add_row("a method of two words", *(f"{i}00.123 m\n0.001–0.002" for i in range(8)))
-    out = shown(table, width, capsys, monkeypatch)
-    if width == 80 and name != "benchmark":
-        assert max(map(cell_len, out.splitlines())) <= width
-    assert not {"…", "\x1b"} & set(out)
-    words = re.split(r"[\s│┃]+", out)
-    for column in table.columns[1:]:
-        assert set(" ".join(map(str, column.cells)).split()) <= set(words)
+def test_tables_have_every_word_and_fit_80_columns(width, report, capsys, monkeypatch):
+    for table in (
+        format_table(report, title="a-walk-of-a-long-name.mcap"),
+        format_table(report, large_errors=True),
+        format_batch([OUTCOME]),
+    ):
+        out = shown(table, width, capsys, monkeypatch)
+        if width == 80:
+            assert max(map(cell_len, out.splitlines())) <= width
+        assert not {"…", "\x1b"} & set(out)
+        words = re.split(r"[\s│┃]+", out)
+        for column in table.columns[1:]:
+            assert set(" ".join(map(str, column.cells)).split()) <= set(words)
 
 
 @pytest.mark.parametrize(
@@ -355,10 +329,10 @@ def test_tables_of_the_commands_have_every_word_and_those_of_runs_fit_80_columns
     ],
 )
 def test_colours_and_bold_are_off_where_they_are_not_wanted_or_there_is_no_terminal(
-    environment, coloured, capsys, monkeypatch
+    environment, coloured, report, capsys, monkeypatch
 ):
     environment = {"TERM": "xterm-256color", **environment}
-    assert ("\x1b" in shown(format_table(RUNS), 80, capsys, monkeypatch, **environment)) == coloured
+    assert ("\x1b" in shown(format_table(report), 80, capsys, monkeypatch, **environment)) == coloured
 
 
 def test_lines_are_wrapped_between_words_at_a_terminal_only_and_paths_stay_whole(capsys, monkeypatch):

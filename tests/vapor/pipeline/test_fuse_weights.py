@@ -1,7 +1,6 @@
 """Weights of hypotheses in `vapor-track fuse`: what they are worth, and files that state them."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,8 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from filtering.se3 import Poses
-from sequences.trajectories.tum import read_tum
-from tests.helpers.full import full
 from tests.helpers.pose_files import file_of, hypotheses, moved, noisy, walk
 from tests.helpers.simulation import ERRORS
 from vapor.pipeline.fuse import EstimateConfig, EstimateModel, mixture_weights
@@ -19,8 +16,6 @@ from vapor.track import main
 SMALL = ["--localizer.max-hypotheses", "60", "--no-recording"]
 WEIGHTED = ["--columns", "name qw qx qy qz tx ty tz _ weight"]
 
-
-# --- what weights are worth ----------------------------------------------------------------------------
 
 WEIGHTS = st.lists(st.tuples(st.integers(0, 3), st.floats(1e-3, 1e4)), min_size=1, max_size=12)
 
@@ -60,39 +55,6 @@ def test_hypotheses_have_the_uncertainty_of_their_file_and_the_probability_of_th
     posterior = model.observe(seen, rng=np.random.default_rng(0))
     np.testing.assert_allclose(posterior.weights, [0.1, 0.3, 0.45])
     np.testing.assert_allclose(posterior.covariances[:, 0, 0], [0.05**2, 0.05**2, 0.1**2])
-
-
-# --- files that state them -----------------------------------------------------------------------------
-
-
-def weighted_file(path: Path, *methods: tuple[dict[str, Poses], float]) -> Path:
-    """Lines of all methods, each with its weight after a column that is ignored; of every frame in this order."""
-    written = [
-        [f"{line} {weight}" for line in sorted(file_of(path, poses).read_text().splitlines())]
-        for poses, weight in ((poses, f"525.0 {weight}") for poses, weight in methods)
-    ]
-    path.write_text("\n".join(line for lines in zip(*written, strict=True) for line in lines) + "\n")
-    return path
-
-
-@full
-@pytest.mark.usefixtures("unchecked")
-def test_equal_weights_in_one_file_are_files_of_one_hypothesis_each(tmp_path, truth):
-    """Bit by bit, whatever the unit of the weights."""
-    one, two = noisy(walk(), 0.02, 0.01, 1), noisy(walk(), 0.02, 0.01, 2)
-    more = ["--simulate-odometry", str(truth), "--direction", "world-to-camera", *SMALL]
-    files = [str(file_of(tmp_path / f"{name}.txt", poses)) for name, poses in (("one", one), ("two", two))]
-    assert main(["fuse", *files, "--output", str(tmp_path / "apart"), *more]) == 0
-    for name, weight in (("votes", 250.0), ("fractions", 0.5)):
-        file = weighted_file(tmp_path / f"{name}.txt", (one, weight), (two, weight))
-        assert main(["fuse", str(file), "--output", str(tmp_path / name), *more, *WEIGHTED]) == 0
-    apart, votes, fractions = (
-        (tmp_path / name / "trajectory.tum").read_bytes() for name in ("apart", "votes", "fractions")
-    )
-    assert apart == votes == fractions
-    config = json.loads((tmp_path / "votes" / "config.json").read_text())
-    assert config["estimates"] == [{"name": "votes.txt", "frames": 120, "hypotheses": 240}]
-    assert config["reading"]["columns"] == WEIGHTED[1]
 
 
 @pytest.mark.usefixtures("unchecked")
@@ -135,28 +97,3 @@ def test_weights_that_are_missing_are_said_with_the_file_and_the_line(tmp_path, 
     assert stop.value.code == 2
     assert "'inliers' in" in capsys.readouterr().err
     assert not output.exists()
-
-
-@full
-@pytest.mark.usefixtures("unchecked")
-def test_six_real_methods_in_one_weighted_file_are_fused_as_six_files_are(shared_data: Path, tmp_path: Path):
-    """150 frames of 7-Scenes stairs; the weights are one vote each, as the published files state no inliers."""
-    folder = shared_data / "7scenes_stairs"
-    files, lines = [], []
-    for path in sorted((folder / "estimates").iterdir()):
-        kept = [each.split()[:8] for each in path.read_text().splitlines()]
-        kept = [
-            " ".join(each) for each in kept if "seq-01/frame-000200" <= each[0].split(".")[0] < "seq-01/frame-000350"
-        ]
-        (tmp_path / path.name).write_text("\n".join(kept))
-        files.append(str(tmp_path / path.name))
-        lines += [f"{each} 0 1" for each in kept]
-    (tmp_path / "all.txt").write_text("\n".join(lines))
-    more = ["--simulate-odometry", str(folder / "stairs_test.txt"), "--direction", "world-to-camera", *SMALL]
-    assert main(["fuse", *files, "--output", str(tmp_path / "six"), *more]) == 0
-    assert main(["fuse", str(tmp_path / "all.txt"), "--output", str(tmp_path / "one"), *more, *WEIGHTED]) == 0
-    six, one = (read_tum(tmp_path / name / "trajectory.tum") for name in ("six", "one"))
-    assert len(six) == 150
-    np.testing.assert_allclose(one.poses.as_matrix(), six.poses.as_matrix(), atol=1e-9)
-    report = json.loads((tmp_path / "one" / "report.json").read_text())
-    assert report["filter"]["worse_than"]["0.25m"] == 0.0

@@ -77,4 +77,4 @@ def test_a_run_is_an_error_of_ours_or_right_about_itself(first: int, tmp_path: P
         std_m = [float(row[header.index("std_m")]) for row in rows]
         assert np.isfinite(std_m).all(), said
         assert min(std_m) > 0, said
-    print(dict(outcomes))
+    assert outcomes["localized"] > 0, outcomes

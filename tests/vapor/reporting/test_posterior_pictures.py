@@ -20,22 +20,6 @@ def about(axis: list[float], degrees: float) -> np.ndarray:
     return Rotation.from_rotvec(np.radians(degrees) * np.array(axis, float)).as_matrix()
 
 
-@pytest.mark.parametrize(("heading", "pitch"), [(0.0, 0.0), (70.0, 20.0), (-130.0, -45.0)])
-def test_longitude_and_latitude_say_where_an_axis_points(heading, pitch):
-    rotation = about([0, 0, 1], heading) @ about([0, -1, 0], pitch) @ LEVEL
-    longitude, latitude, _ = hopf_coordinates(rotation[None], axis=2)
-    assert np.degrees([longitude[0], latitude[0]]) == pytest.approx([heading, pitch])
-
-
-def test_turning_about_the_axis_changes_the_angle_alone_and_by_as_much():
-    rotations = np.stack([about([0, 0, 1], 40.0) @ LEVEL @ about([0, 0, 1], roll) for roll in (0.0, 30.0, 200.0)])
-    longitude, latitude, angle = hopf_coordinates(rotations, axis=2)
-    assert np.ptp(longitude) < 1e-9
-    assert np.ptp(latitude) < 1e-9
-    turned = np.degrees(angle - angle[0]) % 360.0
-    assert {tuple(np.round(turned)), tuple(np.round(-turned % 360.0))} & {(0.0, 30.0, 200.0)}
-
-
 def test_every_rotation_comes_back_from_its_coordinates():
     rotations = Poses.exp(np.random.default_rng(0).standard_normal((50, 6))).rotation
     longitude, latitude, angle = hopf_coordinates(rotations, axis=1)

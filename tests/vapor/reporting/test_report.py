@@ -1,7 +1,6 @@
 """What a run leaves behind: the record, report.json and the table."""
 
 import json
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -24,9 +23,6 @@ def rendered(report) -> str:
     console = Console(width=120, record=True, file=open("/dev/null", "w"))  # noqa: SIM115
     console.print(format_table(report))
     return console.export_text()
-
-
-# --- record ---------------------------------------------------------------------------------------------
 
 
 def test_the_record_holds_every_image_in_order(record):
@@ -52,12 +48,6 @@ def test_the_record_holds_every_image_in_order(record):
 def test_a_record_of_no_image_is_refused():
     with pytest.raises(VaporTrackError, match="no image was localized, 4 were skipped"):
         RunRecorder().finish(skipped={"undecodable_image": 4})
-
-
-def test_without_odometry_and_truth_those_parts_are_absent():
-    record = simulated_record(30, with_truth=False, with_odometry=False)
-    assert record.truth is None
-    assert list(record.methods) == ["single_image", "filter"]
 
 
 def test_however_long_the_run_few_keyframes_are_kept_with_the_first_and_last_among_them(record):
@@ -87,63 +77,6 @@ def test_thumbnails_are_small_and_do_not_share_the_frames_buffer():
         thumbnail = recorder.finish().keyframes[0].thumbnail
         assert thumbnail.shape == shape
         assert thumbnail.flat[0] == before != 99
-
-
-# --- report ---------------------------------------------------------------------------------------------
-
-
-def test_the_report_has_the_keys_of_its_specification(record):
-    report = build_report(record)
-    assert report["frames"] == report["frames_with_true_pose"] == 150
-    assert report["skipped"] == {"undecodable_image": 2}
-    assert report["peak_rss_mb"] == 512.0
-    assert report["step_ms"]["p50"] <= report["step_ms"]["p95"]
-    for method in ("single_image", "dead_reckoning"):
-        assert set(report[method]) == {
-            "median_translation_m",
-            "median_rotation_deg",
-            "ape_rmse_m",
-            "recall",
-            "position_recall",
-            "worse_than",
-        }
-    assert report["filter"]["success"] is True
-    assert report["filter"]["recall"]["0.3m/20deg"] > report["single_image"]["recall"]["0.3m/20deg"] + 0.2
-    assert "kalman" not in report
-    assert "smoothed" not in report
-
-
-def test_smoothed_kalman_and_gaussian_sum_are_evaluated_where_they_exist():
-    recorder = RunRecorder()
-    for frame, step in simulated_steps(40):
-        recorder.add(frame, replace(step, baselines={"gaussian_sum": step.image_modes, "kalman": step.image_modes}))
-    record = recorder.finish()
-    finished = record.with_methods({"smoothed": record.truth.poses})
-    report = build_report(finished)
-    assert report["smoothed"]["converged_at_s"] == 0.0
-    assert report["kalman"]["ape_rmse_m"] == report["single_image"]["ape_rmse_m"]
-    assert report["gaussian_sum"] == report["kalman"]
-    tracking = ["kalman", "gaussian_sum", "filter", "smoothed"]
-    assert list(finished.methods) == ["single_image", "dead_reckoning", *tracking]
-    assert [key for key in report if key in tracking] == tracking
-    assert "Gaussian sum" in rendered(report)
-
-
-def test_without_true_poses_no_method_is_evaluated():
-    report = build_report(simulated_record(30, with_truth=False))
-    assert report["frames_with_true_pose"] == 0
-    assert not {"single_image", "dead_reckoning", "filter"} & set(report)
-    assert "single image" not in rendered(report)
-
-
-def test_the_same_run_gives_the_same_report_bytes(tmp_path):
-    for name in ("a.json", "b.json"):
-        write_report(tmp_path / name, build_report(simulated_record(40)))
-    text = (tmp_path / "a.json").read_bytes()
-    assert text == (tmp_path / "b.json").read_bytes()
-    content = json.loads(text)
-    assert list(content) == sorted(content)
-    assert content["filter"]["recall"].keys() == {"0.1m/10deg", "0.2m/15deg", "0.3m/20deg"}
 
 
 def test_a_report_that_is_no_json_leaves_the_old_one_in_place(tmp_path):
