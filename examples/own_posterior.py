@@ -23,7 +23,7 @@ def at(x_m: np.ndarray) -> vapor.Poses:
 def detect(door: int, rng: np.random.Generator) -> vapor.PosePosterior:
     """The detector's posterior at a door: all white ones, or the one of that colour, each 10 cm and 3 degrees off."""
     doors = DOORS_M[[door]] if door >= 8 else DOORS_M[:8]
-    return vapor.PosePosterior.from_estimates(at(doors + rng.normal(0.0, 0.1)), std_m=0.1, std_rad=0.05, errors=ERRORS)
+    return vapor.PosePosterior.from_estimates(at(doors + rng.normal(0.0, 0.1)), std_m=0.1, std_rad=0.05, noise=ERRORS)
 
 
 def main() -> None:

@@ -26,10 +26,10 @@ def main() -> None:
     vapor.train(options.walks, options.output, config, validation=options.held_out)
     result = vapor.calibrate_model(str(options.output), options.held_out, options.output, training=options.walks)
 
-    errors = result.calibration.errors
-    print(f"an ordinary image is {100 * max(errors.typical_std[:3]):.0f} cm off")
-    print(f"its error is correlated over {errors.length_m:.2f} m")
-    print(f"no place of an image is right with a probability of {100 * errors.outlier_probability:.0f} %")
+    noise = result.calibration.errors
+    print(f"an ordinary image is {100 * max(noise.typical_std[:3]):.0f} cm off")
+    print(f"its error is correlated over {noise.length_m:.2f} m")
+    print(f"no place of an image is right with a probability of {100 * noise.outlier_probability:.0f} %")
 
 
 if __name__ == "__main__":

@@ -60,10 +60,10 @@ class ErrorScale:
         """Of the variance."""
         return max(_LEAST, self.total / self.count) if self.adapts else 1.0
 
-    def applied(self, errors: MeasurementNoise) -> MeasurementNoise:
+    def applied(self, noise: MeasurementNoise) -> MeasurementNoise:
         """The noise with this factor; constant errors in proportion to the information of recent images."""
-        constant = errors.constant_fraction / max(self.information, 1e-3)
-        return unchecked_replace(errors, constant_fraction=min(constant, 1e3)).inflated(self.factor)
+        constant = noise.constant_fraction / max(self.information, 1e-3)
+        return unchecked_replace(noise, constant_fraction=min(constant, 1e3)).inflated(self.factor)
 
     def predict(self, camera_motion: Odometry, normalized_distance: float) -> ErrorScale:
         """After a motion of the camera."""
@@ -87,7 +87,7 @@ class ErrorScale:
         expected = self.place @ self.since.previous_from_current
         difference = expected.between(posterior.means).log()
         carry = self.since.carry
-        new = 1.0 - posterior.errors.correlated_fraction * np.exp(-self.normalized_distance)
+        new = 1.0 - posterior.noise.correlated_fraction * np.exp(-self.normalized_distance)
         of_images = new * (carry @ self.covariance @ carry.T + posterior.covariances)
         expected_covariance = of_images + self.since.noise
         settle(expected_covariance)
@@ -99,7 +99,7 @@ class ErrorScale:
         # Where odometry is less exact than images, a difference shows the error of odometry.
         worth = float(np.trace(information[nearest] @ of_images[nearest])) / 6.0
         kept = min(1.0, _REMEMBERED / (self.count + worth))
-        found = worth * float(squared[nearest]) / _usual(posterior.errors.degrees_of_freedom)
+        found = worth * float(squared[nearest]) / _usual(posterior.noise.degrees_of_freedom)
         scale = replace(self, total=kept * (self.total + found), count=kept * (self.count + worth))
         return scale._from(posterior, nearest)
 

@@ -98,7 +98,7 @@ def evidence(belief: Hypotheses, posterior: PosePosterior, pairs: Sequence[Pairs
     hypothesis, place, squared = (_joined(pairs, name) for name in ("hypothesis", "place", "squared"))
     near = posterior.support[place] * np.exp(-0.5 * squared / PLACE**2)
     support = np.bincount(hypothesis, near, minlength=len(belief))
-    possible = support / (support + posterior.errors.possible_fraction)
+    possible = support / (support + posterior.noise.possible_fraction)
     excuse, outlier = posterior.excuse(belief.poses), posterior.outlier_probability
     outliers = outlier + (1.0 - outlier) * excuse
     log_likelihood = np.log(outliers + (1.0 - outliers) * possible)
@@ -123,7 +123,7 @@ def correct(
     hypothesis, place, log_density = (_joined(pairs, name) for name in ("hypothesis", "place", "log_density"))
     log_place = np.log(np.maximum(posterior.weights, 1e-300))
     log_seen = np.log1p(-outlier)[hypothesis] + log_place[place] + log_density
-    log_unseen = np.log(outlier) + posterior.errors.log_clutter_density
+    log_unseen = np.log(outlier) + posterior.noise.log_clutter_density
     log_total = _log_total(log_seen, hypothesis, log_unseen)
     unseen = np.exp(log_unseen - log_total)
     aside = np.flatnonzero(unseen > _LEAST)
@@ -158,20 +158,20 @@ def pair(
         correlation: Of the source.
         hypothesis, place: Indices, (p,).
     """
-    errors, own = posterior.errors_of(source), correlated_error(correlation.number)
+    of_source, own = posterior.noise_of(source), correlated_error(correlation.number)
     difference = belief.poses[hypothesis].between(posterior.means[place]).log()
     correlated = belief.mean[:, slice(own.start - 6, own.stop - 6)][hypothesis]
-    factor = np.sqrt(errors.correlated_fraction) * posterior.factors[place]
-    noise = (1.0 - errors.correlated_fraction) * posterior.covariances[place]
+    factor = np.sqrt(of_source.correlated_fraction) * posterior.factors[place]
+    noise = (1.0 - of_source.correlated_fraction) * posterior.covariances[place]
     innovation = difference - (factor @ correlated[:, :, None])[:, :, 0]
     jacobian = ((POSE, None), (own, factor))
     cross, information = predict_measurement(belief.covariance, hypothesis, jacobian, noise)
     squared = np.maximum(np.vecdot(innovation, (information @ innovation[:, :, None])[:, :, 0]), 0.0)
     log_det = -np.linalg.slogdet(information)[1]
-    nu = errors.degrees_of_freedom
+    nu = of_source.degrees_of_freedom
     log_peak = gammaln((nu + 6) / 2) - gammaln(nu / 2) - 3 * np.log(nu * np.pi) - 0.5 * log_det
     # However little is known about where the camera is, it is in the map.
-    log_density = np.maximum(log_peak, posterior.errors.log_clutter_density) - (nu + 6) / 2 * np.log1p(squared / nu)
+    log_density = np.maximum(log_peak, posterior.noise.log_clutter_density) - (nu + 6) / 2 * np.log1p(squared / nu)
     larger = (nu + squared) / (nu + 6)
     far = np.flatnonzero(larger > _UNUSUAL)
     if len(far):

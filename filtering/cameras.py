@@ -22,31 +22,31 @@ class Source:
 
     Attributes:
         number: Of its correlated error in the state of a hypothesis.
-        errors: Noise of its places.
+        noise: Noise of its places.
         tracker: Of the camera's motion, in lengths over which these errors are correlated.
         place_tracker: Likewise, in lengths over which outliers are correlated.
         scale: Of its noise, by odometry.
     """
 
     number: int
-    errors: MeasurementNoise
+    noise: MeasurementNoise
     tracker: NoveltyTracker
     place_tracker: NoveltyTracker
     scale: ErrorScale
 
     @staticmethod
-    def first_seen(errors: MeasurementNoise, number: int, *, unknown: float, adapts: bool) -> Source:
+    def first_seen(noise: MeasurementNoise, number: int, *, unknown: float, adapts: bool) -> Source:
         """A source before its first place; the camera may have come `unknown` lengths since any earlier view."""
         tracker, place_tracker = (
-            NoveltyTracker(lengths * errors.length_m, lengths * errors.length_rad, unknown=unknown)
-            for lengths in (1.0, errors.outlier_lengths)
+            NoveltyTracker(lengths * noise.length_m, lengths * noise.length_rad, unknown=unknown)
+            for lengths in (1.0, noise.outlier_lengths)
         )
-        return Source(number, errors, tracker, place_tracker, ErrorScale(adapts))
+        return Source(number, noise, tracker, place_tracker, ErrorScale(adapts))
 
     @property
     def applied(self) -> MeasurementNoise:
         """Noise of its places, scaled by what odometry has shown."""
-        return self.scale.applied(self.errors)
+        return self.scale.applied(self.noise)
 
     @property
     def unlinked(self) -> Source:
@@ -94,19 +94,19 @@ class CameraMemory:
             unknown: Distance that it may have come since any earlier view, in lengths.
             adapts: Whether odometry scales its noise.
         """
-        network = Source.first_seen(view.posterior.errors, number, unknown=unknown, adapts=adapts)
+        network = Source.first_seen(view.posterior.noise, number, unknown=unknown, adapts=adapts)
         camera = CameraMemory((network,), view.reference_from_camera)
         return camera.with_landmarks(view, number + 1, unknown=unknown, adapts=adapts)
 
     def with_landmarks(self, view: View, number: int, *, unknown: float, adapts: bool) -> CameraMemory:
         """The same with landmarks as its second source, where there is a map and they are not one yet."""
-        errors = view.posterior.errors.verified
-        if errors is None or len(self.sources) > 1:
+        noise = view.posterior.noise.verified
+        if noise is None or len(self.sources) > 1:
             return self
-        return replace(self, sources=(*self.sources, Source.first_seen(errors, number, unknown=unknown, adapts=adapts)))
+        return replace(self, sources=(*self.sources, Source.first_seen(noise, number, unknown=unknown, adapts=adapts)))
 
     @property
-    def errors(self) -> MeasurementNoise:
+    def noise(self) -> MeasurementNoise:
         """Noise of its images, scaled by what odometry has shown."""
         network = self.sources[0].applied
         return network if len(self.sources) == 1 else unchecked_replace(network, verified=self.sources[1].applied)

@@ -114,10 +114,10 @@ class LocalizerConfig:
         if self.converged_std_m is not None:
             require_within(self, converged_std_m=(0.0, 1e9))
 
-    def widest_std_m(self, errors: MeasurementNoise) -> float:
+    def widest_std_m(self, noise: MeasurementNoise) -> float:
         """The largest standard deviation of the position, along its widest axis, of a converged belief, metres."""
         if self.converged_std_m is not None:
             return self.converged_std_m
-        ordinary, finest = (max(each.typical_std[:3]) for each in (errors, errors.finest))
+        ordinary, finest = (max(each.typical_std[:3]) for each in (noise, noise.finest))
         widest = max(self.converged_std * finest, float(np.sqrt(finest * ordinary)))
-        return min(widest, self.converged_map_fraction * errors.map_size_m)
+        return min(widest, self.converged_map_fraction * noise.map_size_m)

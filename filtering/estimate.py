@@ -69,13 +69,13 @@ class ModeConfig:
             min_weight=(0.0, 1.0),
         )
 
-    def same_place(self, poses: Poses, mode: Mode, errors: MeasurementNoise) -> Bool[np.ndarray, "*n"]:
+    def same_place(self, poses: Poses, mode: Mode, noise: MeasurementNoise) -> Bool[np.ndarray, "*n"]:
         """Which poses (any batch) lie within the reach of a mode, along each of its camera's axes."""
-        return _within(mode.world_from_camera.between(poses).log(), self.reach(errors, mode.covariance))
+        return _within(mode.world_from_camera.between(poses).log(), self.reach(noise, mode.covariance))
 
-    def reach(self, errors: MeasurementNoise, covariance: Float64[np.ndarray, "*n 6 6"]) -> Float64[np.ndarray, "*n 6"]:
+    def reach(self, noise: MeasurementNoise, covariance: Float64[np.ndarray, "*n 6 6"]) -> Float64[np.ndarray, "*n 6"]:
         """How far modes with these covariances reach, along and about each of their axes, metres and radians."""
-        reach = self.radius * errors.ordinary_std(covariance)
+        reach = self.radius * noise.ordinary_std(covariance)
         reach[..., 3:] = np.minimum(np.maximum(reach[..., 3:], self.least_rad), self.most_rad)
         return reach
 
@@ -125,7 +125,7 @@ class Estimate:
         return self.particles[which] @ Poses.exp((factor[which] @ draws)[..., 0])
 
 
-def describe_modes(belief: Hypotheses, errors: MeasurementNoise, config: ModeConfig) -> tuple[Mode, ...]:
+def describe_modes(belief: Hypotheses, noise: MeasurementNoise, config: ModeConfig) -> tuple[Mode, ...]:
     """The modes of a belief, by falling weight; at least one.
 
     The heaviest hypothesis takes those in its reach, then the heaviest of the rest, and so on. Mean and covariance are
@@ -137,7 +137,7 @@ def describe_modes(belief: Hypotheses, errors: MeasurementNoise, config: ModeCon
     offsets: list[Float64[np.ndarray, "m 6"]] = []  # of each from the heaviest
     free = np.argsort(-weights, kind="stable")
     while len(free) and weights[free].sum() >= least and len(found) < 2 * config.max_modes:
-        reach = config.reach(errors, belief.pose_covariance[free[0]])
+        reach = config.reach(noise, belief.pose_covariance[free[0]])
         own, offset = _in_place_of_first(belief.poses[free], reach)
         found.append(free[own])
         offsets.append(offset)
@@ -147,7 +147,7 @@ def describe_modes(belief: Hypotheses, errors: MeasurementNoise, config: ModeCon
         weights[members], np.concatenate(offsets), belief.pose_covariance[members], starts
     )
     poses = belief.poses[members[starts]] @ Poses.exp(means)
-    covariances = covariances + errors.constant_covariance(covariances)
+    covariances = covariances + noise.constant_covariance(covariances)
     modes = [Mode(poses[k], covariances[k], weight) for k, weight in enumerate(totals.tolist())]
     modes.sort(key=lambda mode: -mode.weight)
     kept = [mode for mode in modes if mode.weight >= least]

@@ -152,7 +152,7 @@ def birth(
     covariance[:, POSE, POSE] = posterior.covariances
     for source, number in enumerate((camera, camera if landmarks is None else landmarks)):
         places, own = posterior.sources[source], correlated_error(number)
-        shared = -np.sqrt(posterior.errors_of(source).correlated_fraction) * posterior.factors[places]
+        shared = -np.sqrt(posterior.noise_of(source).correlated_fraction) * posterior.factors[places]
         covariance[places, POSE, own] = shared
         covariance[places, own, POSE] = np.swapaxes(shared, 1, 2)
     possible = np.maximum(posterior.possible, 1e-300)

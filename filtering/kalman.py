@@ -103,7 +103,7 @@ class KalmanLocalizer:
         else:
             self._predict(self._pose, odom, elapsed_s)
             if not posterior.is_uninformative:
-                self._know(posterior.errors)
+                self._know(posterior.noise)
                 correlations = [
                     Correlation(source.number, source.tracker.normalized_distance) for source in self._sources
                 ]
@@ -116,14 +116,14 @@ class KalmanLocalizer:
                     self._reject(posterior, elapsed_s if odom is None else odom.duration_s)
         pose, covariance = self._pose, self._filter.P[POSE, POSE]
         assert pose is not None
-        errors = CameraMemory(self._sources, Poses.identity()).errors
-        return Mode(pose, covariance + errors.constant_covariance(covariance), 1.0)
+        noise = CameraMemory(self._sources, Poses.identity()).noise
+        return Mode(pose, covariance + noise.constant_covariance(covariance), 1.0)
 
-    def _know(self, errors: MeasurementNoise) -> None:
+    def _know(self, noise: MeasurementNoise) -> None:
         """Add the correlated errors of landmarks to the state where there is a map of them."""
-        if errors.verified is None or len(self._sources) > 1 or self._pose is None:
+        if noise.verified is None or len(self._sources) > 1 or self._pose is None:
             return
-        landmarks = Source.first_seen(errors.verified, 1, unknown=1.0, adapts=self.config.adapt_errors)
+        landmarks = Source.first_seen(noise.verified, 1, unknown=1.0, adapts=self.config.adapt_errors)
         wider = with_source(self._hypothesis(self._pose))
         self._sources = (*self._sources, landmarks)
         self._filter = KalmanFilter(dim_x=19 + 6, dim_z=6)
@@ -137,9 +137,9 @@ class KalmanLocalizer:
     def _start(self, posterior: PosePosterior, before: Hypotheses | None) -> None:
         """Start at the image's heaviest place; the odometry bias is kept."""
         known, adapts = self._sources, self.config.adapt_errors
-        errors = [posterior.errors, *([posterior.errors.verified] if posterior.errors.verified else [])]
+        noise = [posterior.noise, *([posterior.noise.verified] if posterior.noise.verified else [])]
         self._sources = tuple(
-            Source.first_seen(each, number, unknown=0.0, adapts=adapts) for number, each in enumerate(errors)
+            Source.first_seen(each, number, unknown=0.0, adapts=adapts) for number, each in enumerate(noise)
         )
         self._sources = tuple(
             replace(source, scale=replace(known[number].scale, place=None, since=None, normalized_distance=0.0))
@@ -147,10 +147,10 @@ class KalmanLocalizer:
             else source
             for number, source in enumerate(self._sources)
         )
-        places = birth(posterior, 0, len(errors), self.config.odometry_bias, before, len(errors) - 1)
+        places = birth(posterior, 0, len(noise), self.config.odometry_bias, before, len(noise) - 1)
         heaviest = int(np.argmax(posterior.weights))
         self._pose = places.poses[heaviest]
-        self._filter = KalmanFilter(dim_x=13 + 6 * len(errors), dim_z=6)
+        self._filter = KalmanFilter(dim_x=13 + 6 * len(noise), dim_z=6)
         self._filter.x = np.concatenate([np.zeros(6), places.mean[heaviest]])[:, None]
         self._filter.P = places.covariance[heaviest].copy()
         self._provisional = posterior.is_uninformative
@@ -189,7 +189,7 @@ class KalmanLocalizer:
             pairs = pair(hypothesis, posterior, source, correlation, np.zeros(len(places), np.int64), places)
             k = int(np.argmin(pairs.squared))
             # A verified place inside its gate is preferred to one of the network.
-            if pairs.squared[k] <= _gate(self.config.gate_probability, posterior.errors_of(source).degrees_of_freedom):
+            if pairs.squared[k] <= _gate(self.config.gate_probability, posterior.noise_of(source).degrees_of_freedom):
                 nearest = pairs, k
         if nearest is None:
             return False

@@ -139,20 +139,20 @@ class ParticleLocalizer:
         self.belief, self._last_image = self.belief.forgotten(), None
 
     def start_at(
-        self, world_from_camera: Poses, covariance: Float64[np.ndarray, "6 6"], errors: MeasurementNoise
+        self, world_from_camera: Poses, covariance: Float64[np.ndarray, "6 6"], noise: MeasurementNoise
     ) -> Estimate:
         """Start at a stated pose.
 
         Args:
             world_from_camera: One pose.
             covariance: Of ξ = (v, ω), metres and radians, in the tangent at the pose; positive definite.
-            errors: Noise of the images to come.
+            noise: Noise of the images to come.
 
         Raises:
             VaporTrackError: the pose or its covariance is invalid. The localizer is then as it was before.
         """
         pose = Poses.stack([world_from_camera])
-        stated = PosePosterior(pose, np.asarray(covariance, np.float64)[None], np.ones(1), errors, pose)
+        stated = PosePosterior(pose, np.asarray(covariance, np.float64)[None], np.ones(1), noise, pose)
         begun = initialize(self.belief.forgotten(), Observation.of_image(stated, None).views, self.config)
         hypotheses = hypotheses_of(begun)
         # The error of the stated pose is not correlated with those of the images.

@@ -30,12 +30,12 @@ class PosePosterior:
         means: world_from_camera of each place, batch (k,); empty for an image without information.
         covariances: Of the error ξ = (v, ω) of each, metres and radians, in the tangent at the mean, (k, 6, 6).
         weights: Of each place in the posterior, at least 0, in all 1 at most, (k,).
-        errors: Noise of the places.
+        noise: Noise of the places.
         samples: Samples of the posterior, world_from_camera, batch (m,), for display; the means where there are none.
         ood_score: Distance of the image from the training images: near 0 for one of them, 1 at the threshold,
             above it the image is out of distribution and carries no information. 0 without a score.
         growth: Factor of the variances that follows from the score.
-        verified: Whether landmarks have verified each place, whose noise is then `errors.verified`, (k,); None for
+        verified: Whether landmarks have verified each place, whose noise is then `noise.verified`, (k,); None for
             none.
         mapped: Where landmarks can verify places; None for everywhere. Only the particle filter uses it.
     """
@@ -43,7 +43,7 @@ class PosePosterior:
     means: Poses
     covariances: Float64[np.ndarray, "k 6 6"]
     weights: Float64[np.ndarray, " k"]
-    errors: MeasurementNoise
+    noise: MeasurementNoise
     samples: Poses
     ood_score: float = 0.0
     growth: float = 1.0
@@ -52,7 +52,7 @@ class PosePosterior:
 
     def __post_init__(self) -> None:
         count = len(self.means)
-        if self.verified is not None and (self.verified.shape != (count,) or self.errors.verified is None):
+        if self.verified is not None and (self.verified.shape != (count,) or self.noise.verified is None):
             raise VaporTrackError(
                 f"posterior: verified has shape {self.verified.shape}, expected ({count},) and errors of such places"
             )
@@ -75,7 +75,7 @@ class PosePosterior:
             raise VaporTrackError(f"posterior: ood_score is {self.ood_score}, expected 0 or more")
 
     @staticmethod
-    def from_samples(samples: Poses, errors: MeasurementNoise, *, ood_score: float = 0.0) -> PosePosterior:
+    def from_samples(samples: Poses, noise: MeasurementNoise, *, ood_score: float = 0.0) -> PosePosterior:
         """The places among posterior samples (m,), m ≥ 1.
 
         Raises:
@@ -84,20 +84,20 @@ class PosePosterior:
         if len(samples) == 0:
             raise VaporTrackError("a posterior needs at least one sample, got an empty batch of poses")
         _require_finite("samples", samples.translation, samples.rotation)
-        label, count = find_places(samples, errors.radius_m, errors.radius_rad)
+        label, count = find_places(samples, noise.radius_m, noise.radius_rad)
         own = np.flatnonzero(label >= 0)
         means, covariances, _ = group_moments(samples[own], np.ones(len(own)), label[own], count)
         weights = np.bincount(label[own], minlength=count) / len(samples)
-        growth = errors.growth(ood_score)
-        covariances = growth * errors.covariance(covariances)
-        return PosePosterior(means, covariances, weights, errors, samples, ood_score, growth)
+        growth = noise.growth(ood_score)
+        covariances = growth * noise.covariance(covariances)
+        return PosePosterior(means, covariances, weights, noise, samples, ood_score, growth)
 
     @staticmethod
     def from_estimates(
         estimates: Poses,
         std_m: float | Float64[np.ndarray, " m"],
         std_rad: float | Float64[np.ndarray, " m"],
-        errors: MeasurementNoise,
+        noise: MeasurementNoise,
         *,
         weights: Float64[np.ndarray, " m"] | None = None,
     ) -> PosePosterior:
@@ -122,17 +122,17 @@ class PosePosterior:
         stds = [np.broadcast_to(std, count)[:, None].repeat(3, axis=1) for std in (std_m, std_rad)]
         variances = np.square(np.concatenate(stds, axis=1))
         weights = np.full(count, 1.0 / count) if weights is None else np.asarray(weights, np.float64)
-        return PosePosterior(estimates, variances[:, :, None] * np.eye(6), weights, errors, estimates)
+        return PosePosterior(estimates, variances[:, :, None] * np.eye(6), weights, noise, estimates)
 
     @staticmethod
-    def uninformative(errors: MeasurementNoise | None = None, samples: Poses | None = None) -> PosePosterior:
+    def uninformative(noise: MeasurementNoise | None = None, samples: Poses | None = None) -> PosePosterior:
         """The posterior of an image without information: it changes no belief."""
         none = Poses.identity(0)
-        return PosePosterior(none, np.zeros((0, 6, 6)), np.zeros(0), errors or MeasurementNoise(), samples or none)
+        return PosePosterior(none, np.zeros((0, 6, 6)), np.zeros(0), noise or MeasurementNoise(), samples or none)
 
     def without_places(self) -> PosePosterior:
         """The same without any place, with its score."""
-        return replace(PosePosterior.uninformative(self.errors, self.samples), ood_score=self.ood_score)
+        return replace(PosePosterior.uninformative(self.noise, self.samples), ood_score=self.ood_score)
 
     @property
     def is_out_of_distribution(self) -> bool:
@@ -158,7 +158,7 @@ class PosePosterior:
     @cached_property
     def outlier_probability(self) -> float:
         """Probability that no place is the true one: no verified one, where places are verified."""
-        return (self.errors.finest if self.has_verified else self.errors).outlier_probability
+        return (self.noise.finest if self.has_verified else self.noise).outlier_probability
 
     def excuse(self, poses: Poses) -> Float64[np.ndarray, " n"]:
         """Probability, for each of n poses, that its view is not in the map, so that other places are verified,
@@ -174,23 +174,23 @@ class PosePosterior:
         Weights of verified places relative to others were calibrated on held-out images: beside verified places, others
         are w / (total weight of verified places + possible fraction).
         """
-        possible = self.weights / (self.weights + self.errors.possible_fraction)
+        possible = self.weights / (self.weights + self.noise.possible_fraction)
         network, verified = self.sources
         if len(verified):
             total, own = float(self.weights[verified].sum()), self.weights[network]
-            possible[network] = own / (np.maximum(own, total) + self.errors.possible_fraction)
+            possible[network] = own / (np.maximum(own, total) + self.noise.possible_fraction)
         return possible
 
     @cached_property
     def support(self) -> Float64[np.ndarray, " k"]:
         """Share of each place, (k,): poses near places with a sum s of shares are possible by s / (s + possible
         fraction)."""
-        return self.errors.possible_fraction * self.possible / (1.0 - self.possible)
+        return self.noise.possible_fraction * self.possible / (1.0 - self.possible)
 
     @cached_property
     def factors(self) -> Float64[np.ndarray, "k 6 6"]:
         """Square roots of the covariances, symmetric in units of an ordinary image's error: the same in any unit."""
-        unit = np.asarray(self.errors.typical_std)
+        unit = np.asarray(self.noise.typical_std)
         values, vectors = np.linalg.eigh(self.covariances / np.multiply.outer(unit, unit))
         return unit[:, None] * ((vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]) @ np.swapaxes(vectors, 1, 2))
 
@@ -201,9 +201,9 @@ class PosePosterior:
             return np.arange(len(self.weights)), np.empty(0, np.int64)
         return np.flatnonzero(~self.verified), np.flatnonzero(self.verified)
 
-    def errors_of(self, source: int) -> MeasurementNoise:
+    def noise_of(self, source: int) -> MeasurementNoise:
         """Noise of the places of a source, by its number in `sources`."""
-        return self.errors if source == 0 else self.errors.finest
+        return self.noise if source == 0 else self.noise.finest
 
     def of_source(self, source: int) -> PosePosterior:
         """The places of one source, with their noise."""
@@ -215,7 +215,7 @@ class PosePosterior:
             means=self.means[places],
             covariances=self.covariances[places],
             weights=self.weights[places],
-            errors=self.errors_of(source),
+            noise=self.noise_of(source),
             growth=self.growth if source == 0 else 1.0,
             verified=None,
         )
@@ -226,10 +226,10 @@ class PosePosterior:
             return self
         factors = np.full(len(self.weights), factor)
         factors[self.sources[1]] = of_verified
-        errors = self.errors.inflated(factor)
-        if errors.verified is not None:
-            errors = unchecked_replace(errors, verified=errors.verified.inflated(of_verified))
-        larger = unchecked_replace(self, covariances=factors[:, None, None] * self.covariances, errors=errors)
+        noise = self.noise.inflated(factor)
+        if noise.verified is not None:
+            noise = unchecked_replace(noise, verified=noise.verified.inflated(of_verified))
+        larger = unchecked_replace(self, covariances=factors[:, None, None] * self.covariances, noise=noise)
         # Filter and baselines share one decomposition.
         vars(larger)["factors"] = np.sqrt(factors)[:, None, None] * self.factors
         return larger

@@ -88,7 +88,7 @@ def smooth(
     distances: Float64[np.ndarray, " n"],
     filtered: Poses,
     converged: Bool[np.ndarray, " n"],
-    errors: MeasurementNoise,
+    noise: MeasurementNoise,
     config: SmoothingConfig | None = None,
 ) -> Poses:
     """The most likely trajectory given all images and all odometry.
@@ -100,7 +100,7 @@ def smooth(
             (`Estimate.normalized_distance`), (n,).
         filtered: Best modes of the filter, world_from_camera, batch (n,).
         converged: Whether the filter had converged, (n,).
-        errors: Noise of the images.
+        noise: Noise of the images.
         config: Settings.
 
     Returns:
@@ -121,7 +121,7 @@ def smooth(
     parts = []
     for start, stop in itertools.pairwise(breaks):
         steps = [odom for odom in odometry[start + 1 : stop] if odom is not None]
-        modes = _ImageModes(image_modes[start:stop], distances[start:stop], errors)
+        modes = _ImageModes(image_modes[start:stop], distances[start:stop], noise)
         guesses = _initial_guesses(filtered[start:stop], steps, converged[start:stop])
         solutions = [_optimise(guess, modes, steps, config) for guess in guesses]
         parts.append(min(solutions, key=lambda solution: solution[1])[0])
@@ -132,7 +132,7 @@ def trajectory_agreement(
     trajectory: Poses,
     times_ns: Int64[np.ndarray, " n"],
     image_modes: Sequence[tuple[Mode, ...]],
-    errors: MeasurementNoise,
+    noise: MeasurementNoise,
 ) -> Float64[np.ndarray, " n"]:
     """How well each pose of a trajectory fits the images about it, like the filter's agreement for a belief.
 
@@ -144,14 +144,14 @@ def trajectory_agreement(
         trajectory: world_from_camera, batch (n,).
         times_ns: Stamps, increasing, (n,).
         image_modes: For every image the heaviest modes of its own posterior, n of them; none for an uninformative one.
-        errors: Noise of the images.
+        noise: Noise of the images.
 
     Returns:
         From 0 to 1, (n,); 0 where no image about a pose is informative.
     """
     n = len(trajectory)
     fits, informative = np.zeros(n), np.array([len(modes) > 0 for modes in image_modes], bool)
-    in_map = _within_map(trajectory, [mode for modes in image_modes for mode in modes], errors)
+    in_map = _within_map(trajectory, [mode for modes in image_modes for mode in modes], noise)
     for i in np.flatnonzero(informative).tolist():
         modes = image_modes[i]
         residual = (Poses.stack([mode.world_from_camera for mode in modes]).inverse() @ trajectory[i]).log()
@@ -160,7 +160,7 @@ def trajectory_agreement(
         weight = np.array([mode.weight for mode in modes])
         rest = max(1.0 - weight.sum(), 0.0)  # of modes that were left out, one of which may be near within the map
         sums = weight @ near + in_map[i] * rest, weight.max() + rest
-        possible, most = (s / (s + errors.possible_fraction) for s in sums)
+        possible, most = (s / (s + noise.possible_fraction) for s in sums)
         fits[i] = min(possible / most, 1.0)
     at = np.arange(n)
     first = np.minimum(np.searchsorted(times_ns, times_ns - _ABOUT_NS), np.maximum(at - _ABOUT_IMAGES, 0))
@@ -171,13 +171,13 @@ def trajectory_agreement(
     return (summed[last] - summed[first]) / np.maximum(count[last] - count[first], 1.0)
 
 
-def _within_map(trajectory: Poses, modes: Sequence[Mode], errors: MeasurementNoise) -> Bool[np.ndarray, " n"]:
+def _within_map(trajectory: Poses, modes: Sequence[Mode], noise: MeasurementNoise) -> Bool[np.ndarray, " n"]:
     """Whether poses are near enough for a mode beyond those given: within ten times the extent of all modes."""
     if not modes:
         return np.zeros(len(trajectory), bool)
     positions = np.stack([mode.world_from_camera.translation for mode in modes])
     middle = positions.mean(axis=0)
-    furthest_m = np.linalg.norm(positions - middle, axis=1).max() + errors.map_size_m
+    furthest_m = np.linalg.norm(positions - middle, axis=1).max() + noise.map_size_m
     return np.linalg.norm(trajectory.translation - middle, axis=1) <= _FAR * furthest_m
 
 
@@ -214,7 +214,7 @@ class _ImageModes:
     """
 
     def __init__(
-        self, modes: Sequence[tuple[Mode, ...]], distances: Float64[np.ndarray, " n"], errors: MeasurementNoise
+        self, modes: Sequence[tuple[Mode, ...]], distances: Float64[np.ndarray, " n"], noise: MeasurementNoise
     ) -> None:
         flat = [mode for choices in modes for mode in choices]
         counts = np.array([len(choices) for choices in modes])
@@ -224,16 +224,16 @@ class _ImageModes:
         self.poses = Poses.stack([mode.world_from_camera for mode in flat]) if flat else Poses.identity(0)
         stated = np.stack([mode.covariance for mode in flat]) + _REGULAR if flat else np.zeros((0, 6, 6))
         verified = np.array([mode.verified for mode in flat], bool)
-        degrees_of_freedom = np.where(verified, errors.finest.degrees_of_freedom, errors.degrees_of_freedom)
+        degrees_of_freedom = np.where(verified, noise.finest.degrees_of_freedom, noise.degrees_of_freedom)
         of_image = np.ones(len(modes))
         travelled = np.cumsum(distances)
         since = np.diff(travelled[self.images], prepend=0.0)
-        of_image[self.images] = independence(since, errors.correlated_fraction)
+        of_image[self.images] = independence(since, noise.correlated_fraction)
         exact = np.unique(self._image[verified])  # images with verified modes
         # Distances are in lengths of the network's errors; landmarks have others.
-        ratios = errors.length_m / errors.finest.length_m, errors.length_rad / errors.finest.length_rad
+        ratios = noise.length_m / noise.finest.length_m, noise.length_rad / noise.finest.length_rad
         since = np.diff(travelled[exact], prepend=0.0) * min(ratios)  # moved or turned
-        of_image[exact] = independence(since, errors.finest.correlated_fraction)
+        of_image[exact] = independence(since, noise.finest.correlated_fraction)
         worth = of_image[self._image]
         self.kernel = np.sqrt((degrees_of_freedom + 6.0) * worth)
         self.covariance = stated * (degrees_of_freedom / np.square(self.kernel))[:, None, None]

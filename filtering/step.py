@@ -241,13 +241,13 @@ def describe(belief: Belief, views: Sequence[View], novelty: float, config: Loca
 
     Modes and status are in units of the first camera's noise.
     """
-    hypotheses, errors = hypotheses_of(belief), next(iter(belief.cameras.values())).errors
-    modes = _ordered(describe_modes(hypotheses, errors, config.modes), belief.best, errors, config)
+    hypotheses, noise = hypotheses_of(belief), next(iter(belief.cameras.values())).noise
+    modes = _ordered(describe_modes(hypotheses, noise, config.modes), belief.best, noise, config)
     estimate = Estimate(
         modes,
-        _status(modes[0], belief.agreement, errors, config),
+        _status(modes[0], belief.agreement, noise, config),
         hypotheses.poses,
-        hypotheses.pose_covariance + errors.constant_covariance(hypotheses.pose_covariance),
+        hypotheses.pose_covariance + noise.constant_covariance(hypotheses.pose_covariance),
         hypotheses.log_weights,
         belief.agreement,
         novelty,
@@ -258,23 +258,23 @@ def describe(belief: Belief, views: Sequence[View], novelty: float, config: Loca
 
 
 def _ordered(
-    modes: tuple[Mode, ...], best: Poses | None, errors: MeasurementNoise, config: LocalizerConfig
+    modes: tuple[Mode, ...], best: Poses | None, noise: MeasurementNoise, config: LocalizerConfig
 ) -> tuple[Mode, ...]:
     """The previous best mode stays first unless another clearly outweighs it."""
     if best is None or len(modes) == 1:
         return modes
     for k, mode in enumerate(modes):
-        if config.modes.same_place(best, mode, errors):
+        if config.modes.same_place(best, mode, noise):
             if modes[0].weight < config.switch_ratio * mode.weight:
                 return (mode, *modes[:k], *modes[k + 1 :])
             break
     return modes
 
 
-def _status(best: Mode, agreement: float, errors: MeasurementNoise, config: LocalizerConfig) -> Status:
+def _status(best: Mode, agreement: float, noise: MeasurementNoise, config: LocalizerConfig) -> Status:
     if agreement < config.lost_agreement:
         return "lost"
-    sure = best.weight >= config.converged_weight and best.widest_std_m <= config.widest_std_m(errors)
+    sure = best.weight >= config.converged_weight and best.widest_std_m <= config.widest_std_m(noise)
     return "converged" if sure and agreement >= config.converged_agreement else "ambiguous"
 
 

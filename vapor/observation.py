@@ -134,8 +134,7 @@ class VaporObservationModel:
         seen = self.engine.run(prepared, noise)
         samples = Poses(seen.rotation.astype(np.float64), seen.translation.astype(np.float64))
         ood_score = self._ood_score(seen.description)
-        errors = self.description.calibration.errors
-        return PosePosterior.from_samples(samples, errors, ood_score=ood_score)
+        return PosePosterior.from_samples(samples, self.description.calibration.errors, ood_score=ood_score)
 
     def ood_score(self, image: np.ndarray, camera: Camera | None) -> float:
         """How unlike the training images an image of a camera is, as `PosePosterior.ood_score`.
@@ -158,5 +157,5 @@ class VaporObservationModel:
 
 
 def _verifier(model: ModelDescription) -> LandmarkVerifier | None:
-    errors = model.calibration.errors.verified
-    return None if model.landmarks is None or errors is None else LandmarkVerifier(model.landmarks, errors)
+    noise = model.calibration.errors.verified
+    return None if model.landmarks is None or noise is None else LandmarkVerifier(model.landmarks, noise)

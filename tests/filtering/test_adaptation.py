@@ -31,11 +31,11 @@ pytestmark = pytest.mark.usefixtures("unchecked")
 THERE = Poses.identity(1)
 
 
-def compared(difference, *, errors=ERRORS, distance=APART, start=None):
+def compared(difference, *, noise=ERRORS, distance=APART, start=None):
     """The scale after two images, of which the second is so many standard deviations off along x."""
-    scale = observed(start or ErrorScale(), seen_at(THERE, errors=errors)).predict(AHEAD, distance)
+    scale = observed(start or ErrorScale(), seen_at(THERE, noise=noise)).predict(AHEAD, distance)
     pose = THERE @ AHEAD.previous_from_current @ Poses.exp(np.array([0.1 * difference, 0, 0, 0, 0, 0]))
-    return observed(scale, seen_at(pose, errors=errors))
+    return observed(scale, seen_at(pose, noise=noise))
 
 
 # --- how much larger or smaller -------------------------------------------------------------------
@@ -106,7 +106,7 @@ def test_a_scatter_of_outliers_among_errors_that_follow_the_model_does_not_raise
 
 @pytest.mark.parametrize("degrees_of_freedom", [3.0, 6.0, 1e6])
 def test_heavy_tails_that_are_modelled_are_neither_larger_nor_smaller_errors(degrees_of_freedom):
-    errors = replace(ERRORS, degrees_of_freedom=degrees_of_freedom, correlated_fraction=0.0)
+    noise = replace(ERRORS, degrees_of_freedom=degrees_of_freedom, correlated_fraction=0.0)
     rng, scale, pose, factors = np.random.default_rng(2), ErrorScale(), THERE, []
     exact = motion(0.5, 0, 0, 0, 0, 0, std=np.zeros(6))
     for _ in range(400):
@@ -116,7 +116,7 @@ def test_heavy_tails_that_are_modelled_are_neither_larger_nor_smaller_errors(deg
             * rng.standard_normal(6)
             / np.sqrt(rng.chisquare(degrees_of_freedom) / degrees_of_freedom)
         )
-        scale = observed(scale.predict(exact, APART), seen_at(pose @ Poses.exp(error), errors=errors))
+        scale = observed(scale.predict(exact, APART), seen_at(pose @ Poses.exp(error), noise=noise))
         factors.append(scale.factor)
     assert 0.8 < np.mean(factors) < 1.2
 
@@ -139,8 +139,8 @@ def test_odometry_that_knows_little_of_the_way_raises_nothing():
     )
 
 
-def familiar_to(power_of_growth, *, errors=ERRORS):
-    return replace(seen_at(THERE, errors=errors), growth=power_of_growth)
+def familiar_to(power_of_growth, *, noise=ERRORS):
+    return replace(seen_at(THERE, noise=noise), growth=power_of_growth)
 
 
 # --- scores of recent images ---------------------------------------------------------
@@ -184,11 +184,11 @@ def test_an_inflated_posterior_has_the_same_places_of_larger_errors():
     inflated = posterior.inflated(4.0)
     np.testing.assert_allclose(inflated.covariances, 4.0 * posterior.covariances)
     np.testing.assert_allclose(inflated.factors, 2.0 * posterior.factors)
-    errors, samples = posterior.errors, np.diag([0.3, 0.2, 0.1, 0.1, 0.2, 0.3])[None]
-    np.testing.assert_allclose(inflated.errors.covariance(samples), 4.0 * errors.covariance(samples))
-    np.testing.assert_allclose(inflated.errors.typical_std, 2.0 * np.array(errors.typical_std))
-    same = {name: getattr(errors, name) for name in ("spread", "noise_floor", "typical_std")}
-    assert replace(inflated.errors, **same) == errors
+    noise, samples = posterior.noise, np.diag([0.3, 0.2, 0.1, 0.1, 0.2, 0.3])[None]
+    np.testing.assert_allclose(inflated.noise.covariance(samples), 4.0 * noise.covariance(samples))
+    np.testing.assert_allclose(inflated.noise.typical_std, 2.0 * np.array(noise.typical_std))
+    same = {name: getattr(noise, name) for name in ("spread", "noise_floor", "typical_std")}
+    assert replace(inflated.noise, **same) == noise
     assert inflated.means is posterior.means
     assert inflated.samples is posterior.samples
     assert (inflated.weights == posterior.weights).all()

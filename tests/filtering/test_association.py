@@ -13,16 +13,16 @@ NEVER = OdometryBias(scale=0.0, relative_drift=0.0)
 GAUSSIAN = replace(ERRORS, degrees_of_freedom=1e6, outlier_probability=1e-6, log_clutter_density=-100.0)
 
 
-def believed(heights_m, shares, *, std=STD, errors=ERRORS):
+def believed(heights_m, shares, *, std=STD, noise=ERRORS):
     """Hypotheses one above the other whose uncertainty has nothing to do with the next image's errors."""
-    h = birth(seen_at(lifted(Poses.identity(), heights_m), shares, std=std, errors=errors), 0, 1, NEVER, None)
+    h = birth(seen_at(lifted(Poses.identity(), heights_m), shares, std=std, noise=noise), 0, 1, NEVER, None)
     covariance = h.covariance.copy()
     covariance[:, :6, 13:] = covariance[:, 13:, :6] = 0.0
     return replace(h, covariance=covariance).with_log_weights(np.log(shares))
 
 
-def at(x, *, errors=ERRORS, share=1.0, std=STD):
-    return seen_at(Poses.exp(np.array([[x, 0.0, 0, 0, 0, 0]])), (share,), errors=errors, std=std)
+def at(x, *, noise=ERRORS, share=1.0, std=STD):
+    return seen_at(Poses.exp(np.array([[x, 0.0, 0, 0, 0, 0]])), (share,), noise=noise, std=std)
 
 
 def mass_at(hypotheses, height_m, within=1.0):
@@ -77,13 +77,13 @@ def test_an_image_with_two_places_near_one_wide_hypothesis_makes_two_of_it_by_th
 
 
 def test_a_share_of_each_hypothesis_goes_on_as_it_was_by_how_likely_the_image_is_uninformative():
-    errors = replace(ERRORS, outlier_probability=0.2, log_clutter_density=9.0)
-    belief = believed([0.0], [1.0], errors=errors)
-    after = associate(belief, at(0.0, errors=errors), 0, novelty=0.0, distance=2.0).hypotheses
+    noise = replace(ERRORS, outlier_probability=0.2, log_clutter_density=9.0)
+    belief = believed([0.0], [1.0], noise=noise)
+    after = associate(belief, at(0.0, noise=noise), 0, novelty=0.0, distance=2.0).hypotheses
     assert len(after) == 2
     same = int(np.argmin(np.abs(after.covariance - belief.covariance[0]).sum(axis=(1, 2))))
     np.testing.assert_array_equal(after.covariance[same], belief.covariance[0])
-    density = multivariate_t(shape=2 * np.diag(STD**2), df=errors.degrees_of_freedom).pdf(np.zeros(6))
+    density = multivariate_t(shape=2 * np.diag(STD**2), df=noise.degrees_of_freedom).pdf(np.zeros(6))
     unseen = 0.2 * np.exp(9.0)
     assert after.weights[same] == pytest.approx(unseen / (unseen + 0.8 * density), rel=1e-6)
     assert 0.1 < after.weights[same] < 0.9
@@ -91,12 +91,12 @@ def test_a_share_of_each_hypothesis_goes_on_as_it_was_by_how_likely_the_image_is
 
 def test_a_place_far_off_for_its_error_pulls_less_than_a_gaussian_would_and_convinces_less():
     heavy = replace(ERRORS, degrees_of_freedom=4.0, outlier_probability=1e-9)
-    belief = believed([0.0], [1.0], errors=heavy)
+    belief = believed([0.0], [1.0], noise=heavy)
     pulls, stds = [], []
     for x in (0.05, 0.7):
         results = [
-            associate(belief, at(x, errors=errors), 0, novelty=1.0, distance=2.0).hypotheses
-            for errors in (heavy, GAUSSIAN)
+            associate(belief, at(x, noise=noise), 0, novelty=1.0, distance=2.0).hypotheses
+            for noise in (heavy, GAUSSIAN)
         ]
         tails, gaussian = (h[np.argsort(-h.log_weights)[:1]] for h in results)
         pulls.append(tails.poses.translation[0, 0] / gaussian.poses.translation[0, 0])

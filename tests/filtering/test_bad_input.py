@@ -207,8 +207,8 @@ def test_samples_and_weights_that_are_not_finite_make_no_density():
 def test_a_view_from_another_rig_is_judged_by_its_own_measurement_noise():
     localizer = ParticleLocalizer(None, rng=np.random.default_rng(0))
     coarse = ERRORS.scaled(10.0)
-    localizer.update(seen_at(Poses.identity(1), errors=coarse), None)
-    assert_sound(localizer.update(seen_at(Poses.identity(1), errors=ERRORS), increment(translation=(1.0, 0, 0))))
+    localizer.update(seen_at(Poses.identity(1), noise=coarse), None)
+    assert_sound(localizer.update(seen_at(Poses.identity(1), noise=ERRORS), increment(translation=(1.0, 0, 0))))
 
 
 @pytest.mark.usefixtures("unchecked")

@@ -152,13 +152,13 @@ def test_regions_hold_at_least_what_they_say_with_outliers_and_the_defaults():
 
 @pytest.mark.parametrize(("outlier_lengths", "kept"), [(1.0, False), (12.0, True)])
 def test_a_corridor_that_is_taken_for_another_is_one_mistake_if_such_mistakes_last(outlier_lengths, kept):
-    errors = replace(ERRORS, outlier_lengths=outlier_lengths)
+    noise = replace(ERRORS, outlier_lengths=outlier_lengths)
     localizer = ParticleLocalizer(None, LocalizerConfig(), rng=RNG(0))
-    step = 0.5 * errors.length_m
+    step = 0.5 * noise.length_m
     poses = [Poses(np.eye(3), np.array([step * i, 0.0, 0.0])) for i in range(100)]
     for i, pose in enumerate(poses):
         shares = (1.0, 0.0) if i < 80 else (0.02, 0.98)  # ten lengths along which the other noise_floor seems likelier
-        seen = replace(seen_at(lifted(pose, ALIKE[:2]), shares), errors=errors)
+        seen = replace(seen_at(lifted(pose, ALIKE[:2]), shares), noise=noise)
         odometry = Odometry(Poses(np.eye(3), np.array([step, 0.0, 0.0])), np.diag(AT_REST**2), 0.5) if i else None
         estimate = localizer.update(seen, odometry)
     assert (weights_of(estimate, ALIKE[:2])[0] > 0.9) == kept

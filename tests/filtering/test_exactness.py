@@ -75,7 +75,7 @@ def test_with_one_place_and_gaussian_errors_the_state_is_that_of_the_kalman_filt
         measured = [true + rng.standard_normal(6) * IMAGE_STD for _ in range(cameras)]
         odometry = Odometry(Poses.exp(STEP), np.diag(MOTION_STD**2), SECONDS) if t else None
         views = [
-            View(seen_at(Poses.exp(m[None]), std=IMAGE_STD, errors=ONE_PLACE), Poses.identity(), f"camera {i}")
+            View(seen_at(Poses.exp(m[None]), std=IMAGE_STD, noise=ONE_PLACE), Poses.identity(), f"camera {i}")
             for i, m in enumerate(measured)
         ]
         estimate = localizer.update(views, odometry)

@@ -199,5 +199,5 @@ def test_what_is_lighter_than_the_least_weight_goes_but_the_heaviest_stays():
 
 
 def test_measurement_noise_without_correlated_errors_ties_a_newborn_to_no_bias():
-    h = birth(seen_at(Poses.identity(1), errors=MeasurementNoise(correlated_fraction=0.0)), 0, 1, NEVER, None)
+    h = birth(seen_at(Poses.identity(1), noise=MeasurementNoise(correlated_fraction=0.0)), 0, 1, NEVER, None)
     assert not h.covariance[0, POSE, correlated_error(0)].any()

@@ -183,8 +183,8 @@ def test_one_that_forgot_begins_as_a_new_one_does():
         used.predict(AHEAD)
     pose = Poses.exp(np.array([3.0, -2.0, 0.5, 0.1, 0.2, 0.3]))
     for localizer in (used, fresh):
-        localizer.update(seen_at(pose, errors=ERRORS), None)
-    one, other = used.update(seen_at(pose, errors=ERRORS), AHEAD), fresh.update(seen_at(pose, errors=ERRORS), AHEAD)
+        localizer.update(seen_at(pose, noise=ERRORS), None)
+    one, other = used.update(seen_at(pose, noise=ERRORS), AHEAD), fresh.update(seen_at(pose, noise=ERRORS), AHEAD)
     assert_same_belief(one, other, rtol=1e-12, atol=1e-12)
     assert one.status == other.status
 

@@ -100,9 +100,9 @@ def test_nothing_depends_on_the_unit_of_length(factor):
         grown = odometry and Odometry(
             scaled(AHEAD.previous_from_current), AHEAD.covariance * np.outer(lengths, lengths), AHEAD.duration_s
         )
-        one = localizers[0].update(seen_at(seen, shares, errors=models[0]), odometry, elapsed_s=0.5)
+        one = localizers[0].update(seen_at(seen, shares, noise=models[0]), odometry, elapsed_s=0.5)
         other = localizers[1].update(
-            seen_at(scaled(seen), shares, std=STD * lengths, errors=models[1]), grown, elapsed_s=0.5
+            seen_at(scaled(seen), shares, std=STD * lengths, noise=models[1]), grown, elapsed_s=0.5
         )
         assert one.status == other.status
         statuses.add(one.status)

@@ -78,7 +78,7 @@ def test_in_augmented_localization_nothing_is_born_without_doubt_and_much_with_i
     localizer = ParticleLocalizer(None, AUGMENTED, rng=np.random.default_rng(0))
     fractions = []
     for i, (seen, motion) in enumerate(zip(carried_off(path, 8.0, 40), path.odometry, strict=True)):
-        localizer.update(PosePosterior.uninformative(seen.errors) if 20 <= i < 30 else seen, motion)
+        localizer.update(PosePosterior.uninformative(seen.noise) if 20 <= i < 30 else seen, motion)
         fractions.append(augmented_mcl(localizer.belief, 1.0, 1.0, AUGMENTED))
     assert max(fractions[:40]) < 0.05
     assert max(fractions[40:50]) > 0.2

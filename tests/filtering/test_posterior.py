@@ -160,9 +160,9 @@ def any_covariances(count=4):
     return root @ np.swapaxes(root, 1, 2) + 0.1 * np.eye(6)
 
 
-def with_covariances(covariances, errors=ERRORS):
+def with_covariances(covariances, noise=ERRORS):
     means = Poses.identity(len(covariances))
-    return PosePosterior(means, covariances, np.full(len(covariances), 1.0 / len(covariances)), errors, means)
+    return PosePosterior(means, covariances, np.full(len(covariances), 1.0 / len(covariances)), noise, means)
 
 
 def test_factors_are_square_roots_of_the_covariances_symmetric_in_ordinary_errors():
@@ -182,11 +182,11 @@ GROWING = replace(ERRORS, ood_power=1.0, typical_ood_score=0.5)
 
 def test_an_image_unlike_the_training_has_larger_errors_at_the_same_places():
     samples, _ = two_clusters()
-    plain, grown = (PosePosterior.from_samples(samples, errors, ood_score=0.9) for errors in (ERRORS, GROWING))
+    plain, grown = (PosePosterior.from_samples(samples, noise, ood_score=0.9) for noise in (ERRORS, GROWING))
     assert (plain.growth, grown.growth) == (1.0, pytest.approx(3.24))
     np.testing.assert_allclose(grown.covariances, 3.24 * plain.covariances)
     np.testing.assert_allclose(grown.weights, plain.weights)
-    assert grown.errors == GROWING
+    assert grown.noise == GROWING
     assert PosePosterior.from_samples(samples, GROWING, ood_score=0.1).growth == pytest.approx(0.04)
     assert PosePosterior.from_samples(samples, GROWING).growth == 1.0  # no score
 

@@ -19,14 +19,14 @@ pytestmark = pytest.mark.usefixtures("unchecked")
 CONFIG = SmoothingConfig(odometry_bias=BIAS)
 
 
-def filtered_and_smoothed(path, errors=ERRORS, modes=None):
+def filtered_and_smoothed(path, noise=ERRORS, modes=None):
     localizer = ParticleLocalizer(None, LocalizerConfig(odometry_bias=BIAS), rng=np.random.default_rng(0))
     estimates = [localizer.update(p, odom) for p, odom in zip(path.posteriors, path.odometry, strict=True)]
     filtered = Poses.stack([estimate.modes[0].world_from_camera for estimate in estimates])
     sure = np.array([estimate.status == "converged" for estimate in estimates])
     distances = np.array([estimate.normalized_distance for estimate in estimates])
     modes = modes or [posterior_modes(posterior) for posterior in path.posteriors]
-    return filtered, smooth(modes, path.odometry, distances, filtered, sure, errors, CONFIG)
+    return filtered, smooth(modes, path.odometry, distances, filtered, sure, noise, CONFIG)
 
 
 # --- what an image is worth --------------------------------------------------------------------------

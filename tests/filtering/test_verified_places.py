@@ -126,7 +126,7 @@ def test_a_camera_that_sees_landmarks_later_gets_room_for_their_errors():
 
 def test_verified_places_need_their_errors():
     with pytest.raises(VaporTrackError, match="verified has shape"):
-        replace(seen([0.0], [0.0]), errors=replace(ERRORS, verified=None))
+        replace(seen([0.0], [0.0]), noise=replace(ERRORS, verified=None))
     with pytest.raises(VaporTrackError, match="of their own"):
         replace(ERRORS, verified=ERRORS)
 
@@ -137,8 +137,8 @@ def test_inflating_and_splitting_keep_sources_apart():
     np.testing.assert_allclose(larger.covariances[0], 9.0 * posterior.covariances[0])
     np.testing.assert_allclose(larger.covariances[1:], 4.0 * posterior.covariances[1:])
     np.testing.assert_allclose(larger.factors @ larger.factors, larger.covariances, atol=1e-12)
-    assert larger.errors.verified == SHARP.inflated(9.0)
-    assert posterior.of_source(1).errors == SHARP
+    assert larger.noise.verified == SHARP.inflated(9.0)
+    assert posterior.of_source(1).noise == SHARP
     assert len(posterior.of_source(0).weights) == 2
 
 

@@ -29,14 +29,14 @@ def apart(count: int) -> Travel:
 
 
 def posteriors(
-    truth: Poses, errors: MeasurementNoise, normal: np.ndarray, *, rng: np.random.Generator, num_samples: int = 80
+    truth: Poses, noise: MeasurementNoise, normal: np.ndarray, *, rng: np.random.Generator, num_samples: int = 80
 ):
     """Samples of images whose places have these errors (n, 6), in standard deviations."""
     samples = []
     for i, own in enumerate(normal):
         spread = 0.06 * UNIT * np.exp(rng.normal(0.0, 0.8))  # of the samples
-        xi = np.sqrt(errors.spread * np.square(spread) + np.square(errors.noise_floor)) * own
-        centre = anywhere(1, rng=rng)[0] if rng.random() < errors.outlier_probability else truth[i] @ Poses.exp(-xi)
+        xi = np.sqrt(noise.spread * np.square(spread) + np.square(noise.noise_floor)) * own
+        centre = anywhere(1, rng=rng)[0] if rng.random() < noise.outlier_probability else truth[i] @ Poses.exp(-xi)
         samples.append(centre @ Poses.exp(spread * rng.standard_normal((num_samples, 6))))
     return samples
 

@@ -34,15 +34,15 @@ class Walk:
     distances: np.ndarray
 
 
-def walk(num_images, *, rng, lifts=lambda i: (0.0,), errors=ERRORS, speed_m=0.05, unit=1.0):
+def walk(num_images, *, rng, lifts=lambda i: (0.0,), noise=ERRORS, speed_m=0.05, unit=1.0):
     """A walk along a wavy line. `lifts` of an image: heights of equally possible places above the true one, metres.
 
     Lengths are in metres times `unit`; the same generator gives the same walk in any unit.
     """
-    errors, lengths = errors.scaled(unit), np.array([unit] * 3 + [1.0] * 3)
-    std = np.asarray(errors.noise_floor)
+    noise, lengths = noise.scaled(unit), np.array([unit] * 3 + [1.0] * 3)
+    std = np.asarray(noise.noise_floor)
     scale, drift = BIAS.scale * rng.standard_normal(), rng.standard_normal(6)
-    bias, tracker = rng.standard_normal(6), NoveltyTracker(errors.length_m, errors.length_rad)
+    bias, tracker = rng.standard_normal(6), NoveltyTracker(noise.length_m, noise.length_rad)
     truth, odometry, posteriors, distances = [Poses.identity()], [None], [], [0.0]
     step_s = 0.1
     for i in range(num_images):
@@ -50,24 +50,24 @@ def walk(num_images, *, rng, lifts=lambda i: (0.0,), errors=ERRORS, speed_m=0.05
             step = lengths * np.array([speed_m, 0, 0.2 * speed_m, 0, 0, 0.4 * speed_m * np.sin(i / 15)])
             kept = np.exp(-step_s / BIAS.time_s)
             drift = kept * drift + np.sqrt(1 - kept**2) * rng.standard_normal(6)
-            noise = lengths * ODOMETRY_STD
-            wrong = BIAS.relative_drift * noise * np.sqrt(step_s) * drift + noise * rng.standard_normal(6)
+            odometry_std = lengths * ODOMETRY_STD
+            wrong = BIAS.relative_drift * odometry_std * np.sqrt(step_s) * drift + odometry_std * rng.standard_normal(6)
             wrong[:3] += scale * step[:3]
             reported = Poses.exp(step) @ Poses.exp(wrong)
             truth.append(truth[-1] @ Poses.exp(step))
-            odometry.append(Odometry(reported, np.diag(noise**2), step_s))
+            odometry.append(Odometry(reported, np.diag(odometry_std**2), step_s))
             tracker, distance = tracker.predict(reported)
             distances.append(distance)
             bias = np.exp(-distance) * bias + np.sqrt(-np.expm1(-2 * distance)) * rng.standard_normal(6)
         fresh = rng.standard_normal(6)
-        error = std * (np.sqrt(errors.correlated_fraction) * bias + np.sqrt(1 - errors.correlated_fraction) * fresh)
+        error = std * (np.sqrt(noise.correlated_fraction) * bias + np.sqrt(1 - noise.correlated_fraction) * fresh)
         seen = truth[-1] @ Poses.exp(error)
         heights = unit * np.asarray(lifts(i))
         lift = heights[:, None] * np.array([0.0, 0.0, 1.0])
         means = Poses(np.repeat(seen.rotation[None], len(heights), 0), seen.translation + lift)
         covariances = np.repeat(np.diag(std**2)[None], len(heights), 0)
         shares = np.full(len(heights), 1.0 / max(len(heights), 1))
-        posteriors.append(PosePosterior(means, covariances, shares, errors, means))
+        posteriors.append(PosePosterior(means, covariances, shares, noise, means))
     return Walk(Poses.stack(truth), odometry, posteriors, np.array(distances))
 
 

@@ -33,11 +33,11 @@ def lifted(pose, heights_m):
     return Poses(np.repeat(pose.rotation[None], len(lift), 0), pose.translation + lift)
 
 
-def seen_at(means, shares=(1.0,), *, std=STD, errors=ERRORS, ood_score=0.0):
+def seen_at(means, shares=(1.0,), *, std=STD, noise=ERRORS, ood_score=0.0):
     """The posterior whose places are at these poses (k,), each with the same standard deviations."""
     means = Poses(means.rotation.reshape(-1, 3, 3), means.translation.reshape(-1, 3))
     covariances = np.repeat(np.diag(np.square(std))[None], len(means), 0)
-    return PosePosterior(means, covariances, np.array(shares, np.float64), errors, means, ood_score)
+    return PosePosterior(means, covariances, np.array(shares, np.float64), noise, means, ood_score)
 
 
 def wandering(distances, size, *, rng):
@@ -49,11 +49,11 @@ def wandering(distances, size, *, rng):
     return np.array(values)
 
 
-def image_errors(distances, errors, *, std=STD, rng):
+def image_errors(distances, noise, *, std=STD, rng):
     """Errors ξ (n, 6) of images at normalized distances from the one before: correlated and fresh ones."""
     correlated = wandering(distances, 6, rng=rng)
     fresh = rng.standard_normal((len(distances) + 1, 6))
-    share = errors.correlated_fraction
+    share = noise.correlated_fraction
     return std * (np.sqrt(share) * correlated + np.sqrt(1.0 - share) * fresh)
 
 
@@ -74,8 +74,8 @@ class Oracle:
         samples = self.truth[index] @ Poses.exp(rng.standard_normal((500, 6)) * POSTERIOR_STD)
         lift = np.zeros((500, 3))
         lift[:, 2] = FLOOR_HEIGHT_M * rng.choice(floors, 500)
-        errors = replace(ERRORS, radius_m=1.0, radius_rad=0.8)
-        return PosePosterior.from_samples(Poses(samples.rotation, samples.translation + lift), errors)
+        noise = replace(ERRORS, radius_m=1.0, radius_rad=0.8)
+        return PosePosterior.from_samples(Poses(samples.rotation, samples.translation + lift), noise)
 
 
 def image_of(index):
@@ -119,16 +119,16 @@ def weight_near(estimate, position, within=1.0):
     return float(np.exp(estimate.log_weights)[near].sum())
 
 
-def walk(localizer, count, *, shares=(1.0,), heights_m=(0.0,), pose=None, seed=0, errors=ERRORS, step=AHEAD):
+def walk(localizer, count, *, shares=(1.0,), heights_m=(0.0,), pose=None, seed=0, noise=ERRORS, step=AHEAD):
     """Estimates along a walk whose images err as modelled, and the true pose at its end."""
     rng = RNG(seed)
     pose = Poses.identity() if pose is None else pose
     distance = float(np.hypot(*(np.linalg.norm(part) for part in np.split(step.previous_from_current.log(), 2)))) / 0.45
     estimates = []
-    for error in image_errors([distance] * (count - 1), errors, rng=rng):
+    for error in image_errors([distance] * (count - 1), noise, rng=rng):
         pose = pose @ step.previous_from_current
         seen = lifted(pose @ Poses.exp(error), heights_m)
-        estimates.append(localizer.update(seen_at(seen, shares, errors=errors), step))
+        estimates.append(localizer.update(seen_at(seen, shares, noise=noise), step))
     return estimates, pose
 
 

@@ -72,13 +72,13 @@ def test_what_is_no_rgb_image_is_refused(shape, dtype):
 
 
 def test_the_calibration_says_what_is_a_place_and_how_it_errs():
-    errors = MeasurementNoise(radius_m=0.8, radius_rad=0.6, spread=1.5, noise_floor=(0.1, 0.2, 0.3, 0.01, 0.02, 0.03))
-    checkpoint = replace(uncalibrated(), calibration=Calibration(errors=errors))
+    noise = MeasurementNoise(radius_m=0.8, radius_rad=0.6, spread=1.5, noise_floor=(0.1, 0.2, 0.3, 0.01, 0.02, 0.03))
+    checkpoint = replace(uncalibrated(), calibration=Calibration(errors=noise))
     posterior = observe(IMAGE, model=VaporObservationModel(checkpoint, num_samples=50, device="cpu"))
-    expected = PosePosterior.from_samples(observe(IMAGE).samples, errors)
+    expected = PosePosterior.from_samples(observe(IMAGE).samples, noise)
     np.testing.assert_array_equal(posterior.means.as_matrix(), expected.means.as_matrix())
     np.testing.assert_array_equal(posterior.covariances, expected.covariances)
-    assert (posterior.errors, posterior.ood_score) == (errors, 0.0)
+    assert (posterior.noise, posterior.ood_score) == (noise, 0.0)
 
 
 def test_unknown_models_and_absent_devices_are_refused():

@@ -201,7 +201,7 @@ def evaluate_sequences(
         for start in starts:
             sequence = whole.part(start, start + length)
             rng = np.random.default_rng([*seed, length, start])
-            again = follow(sequence, followed.errors, followed.config, rng=rng, ablation=ablation, baselines=baselines)
+            again = follow(sequence, followed.noise, followed.config, rng=rng, ablation=ablation, baselines=baselines)
             for name, poses in again.poses.items():
                 if name != "dead_reckoning":  # its start is given
                     succeeded.setdefault(name, []).append(succeeds(poses, sequence.truth, unit_m))

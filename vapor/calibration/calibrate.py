@@ -194,7 +194,7 @@ def calibrate(
         trained = found[1] if len(found) > 1 else None
         fit = fit_errors(found[0], travel, scene, calibration.errors, trained=trained, same_conditions=same_conditions)
     return CalibrationResult(
-        Calibration(*widths, fit.errors, calibration.odometry),
+        Calibration(*widths, fit.noise, calibration.odometry),
         (wider, *fit.changes),
         len(chosen),
         fit.effective_images,
@@ -267,8 +267,8 @@ def calibrate_model(
         else:
             features = extract_features(network, held_out.select(spaced(len(held_out), max_images)))
             scores = ood_model.ood_score(features)
-        errors = replace(calibration.errors, typical_ood_score=ordinary_score(scores))
-        calibration = replace(calibration, errors=errors)
+        noise = replace(calibration.errors, typical_ood_score=ordinary_score(scores))
+        calibration = replace(calibration, errors=noise)
     if ood_only:
         result, provenance = CalibrationResult(calibration), checkpoint.training
     else:

@@ -144,7 +144,7 @@ def most_likely_errors(places: Places, extent: float, flat: float, also: Tensor 
 
 
 def growing_errors(
-    errors: MeasurementNoise,
+    noise: MeasurementNoise,
     places: Places,
     score: Float64[np.ndarray, " n"],
     trained: Observations,
@@ -154,14 +154,14 @@ def growing_errors(
 
     Held-out images (n) and training images (k), which have lower scores, have the same total weight.
     """
-    errors = replace(errors, typical_ood_score=ordinary_score(score))
-    known = Places.near(trained.samples, trained.truth, errors.radius_m, errors.radius_rad)
+    noise = replace(noise, typical_ood_score=ordinary_score(score))
+    known = Places.near(trained.samples, trained.truth, noise.radius_m, noise.radius_rad)
 
     def likelihood(grown: MeasurementNoise) -> float:
         held_out = places.grown(grown, score).log_density(grown).mean()
         return float(held_out + known.grown(grown, trained_score).log_density(grown).mean())
 
-    return max((replace(errors, ood_power=float(power)) for power in _POWERS), key=likelihood)
+    return max((replace(noise, ood_power=float(power)) for power in _POWERS), key=likelihood)
 
 
 def ordinary_score(score: Float64[np.ndarray, " n"]) -> float:
@@ -173,7 +173,7 @@ def ordinary_score(score: Float64[np.ndarray, " n"]) -> float:
 class ErrorFit:
     """Fitted errors of posteriors, with the coverage of their 50, 90 and 95 % regions."""
 
-    errors: MeasurementNoise
+    noise: MeasurementNoise
     changes: tuple[Change, ...]
     coverage: tuple[float, float, float]
     effective_images: float
@@ -210,38 +210,38 @@ def fit_errors(
     extent = scene_extent(scene)
     flat = log_clutter_density(scene)
     radius, places, found = _widest_places(held_out, extent, flat)
-    errors = replace(
+    noise = replace(
         before,
         radius_m=radius,
         radius_rad=RADIUS_RAD,
         log_clutter_density=flat,
         **found.settings(extent),
     )
-    evidence = places.evidence(errors)
+    evidence = places.evidence(noise)
     if held_out.score is not None:
         if trained is not None and trained.score is not None:
-            errors = growing_errors(errors, places, held_out.score, trained, trained.score)
-        places = places.grown(errors, held_out.score)
-        errors = replace(errors, **most_likely_errors(places, extent, flat, found.parameters).settings(extent))
+            noise = growing_errors(noise, places, held_out.score, trained, trained.score)
+        places = places.grown(noise, held_out.score)
+        noise = replace(noise, **most_likely_errors(places, extent, flat, found.parameters).settings(extent))
     else:
-        errors = replace(errors, ood_power=0.0)
-    residual, usable = places.residuals(errors)
+        noise = replace(noise, ood_power=0.0)
+    residual, usable = places.residuals(noise)
     correlated = fit_error_correlation(residual, usable, travel, extent)
     effective = effective_images(travel, correlated)
-    errors = cautious(errors, effective)
-    errors = replace(
-        errors,
-        outlier_probability=max(errors.outlier_probability, LEAST_OUTLIERS),
+    noise = cautious(noise, effective)
+    noise = replace(
+        noise,
+        outlier_probability=max(noise.outlier_probability, LEAST_OUTLIERS),
         correlated_fraction=correlated.fraction,
         length_m=correlated.length_m,
         length_rad=correlated.length_rad,
         outlier_lengths=outlier_lengths(evidence, travel, correlated, same_conditions=same_conditions),
-        typical_std=places.typical_std(errors),
+        typical_std=places.typical_std(noise),
     )
     places_before = Places.near(held_out.samples, held_out.truth, before.radius_m, before.radius_rad)
     if held_out.score is not None:
         places_before = places_before.grown(before, held_out.score)
-    gain = float((places.log_density(errors) - places_before.log_density(before)).mean())
+    gain = float((places.log_density(noise) - places_before.log_density(before)).mean())
     fits = {
         "errors of an image": (
             "radius_m",
@@ -255,9 +255,9 @@ def fit_errors(
     }
     changes = []
     for (what, names), gained in zip(fits.items(), (gain, None), strict=True):
-        formerly, now = ({name: getattr(model, name) for name in names} for model in (before, errors))
+        formerly, now = ({name: getattr(model, name) for name in names} for model in (before, noise))
         changes.append(Change(what, formerly, now, gained))
-    return ErrorFit(errors, tuple(changes), places.coverage(errors), effective)
+    return ErrorFit(noise, tuple(changes), places.coverage(noise), effective)
 
 
 def _widest_places(held_out: Observations, extent: float, flat: float) -> tuple[float, Places, FoundErrors]:
@@ -273,17 +273,17 @@ def _widest_places(held_out: Observations, extent: float, flat: float) -> tuple[
     return next(entry for entry in reversed(tried) if entry[2].score >= highest - _AS_GOOD)
 
 
-def cautious(errors: MeasurementNoise, effective: float) -> MeasurementNoise:
+def cautious(noise: MeasurementNoise, effective: float) -> MeasurementNoise:
     """Larger errors and more equal axes, the fewer independent images there are.
 
     An error common to all images is not visible, so the constant fraction of the variance grows, too.
     """
-    variances = np.square(errors.noise_floor).reshape(2, 3)
+    variances = np.square(noise.noise_floor).reshape(2, 3)
     variances = (effective * variances + _ALIKE * variances.mean(axis=1, keepdims=True)) / (effective + _ALIKE)
     larger = (effective + _UNSURE) / effective
     return replace(
-        errors,
-        spread=larger * errors.spread,
+        noise,
+        spread=larger * noise.spread,
         noise_floor=six(np.sqrt(larger * variances).ravel()),
         constant_fraction=min(1.0, MeasurementNoise().constant_fraction + _UNSEEN / effective),
     )

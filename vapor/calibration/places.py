@@ -116,78 +116,78 @@ class Places:
         covariance, fraction = (np.concatenate(part) for part in list(zip(*parts, strict=True))[1:])
         return Places(residual[kept], covariance[kept], fraction[kept], image[kept])
 
-    def grown(self, errors: MeasurementNoise, score: Float64[np.ndarray, " n"]) -> Places:
+    def grown(self, noise: MeasurementNoise, score: Float64[np.ndarray, " n"]) -> Places:
         """The places rescaled as if every image had the ordinary score: g⁻³ t(ξ/√g; Σ) is t(ξ; g Σ)."""
-        growth = np.array([errors.growth(float(value)) for value in score])[self.image]
+        growth = np.array([noise.growth(float(value)) for value in score])[self.image]
         return replace(self, residual=self.residual / np.sqrt(growth)[:, None], fraction=self.fraction / growth**3)
 
-    def log_density(self, errors: MeasurementNoise) -> Float64[np.ndarray, " n"]:
+    def log_density(self, noise: MeasurementNoise) -> Float64[np.ndarray, " n"]:
         """Log density of the true pose of each image, per m³ rad³."""
-        log_places = log_sums(torch.from_numpy(self._log_terms(errors)), torch.from_numpy(self.image)).numpy()
-        outliers = errors.outlier_probability
-        return np.logaddexp(np.log(outliers) + errors.log_clutter_density, np.log1p(-outliers) + log_places)
+        log_places = log_sums(torch.from_numpy(self._log_terms(noise)), torch.from_numpy(self.image)).numpy()
+        outliers = noise.outlier_probability
+        return np.logaddexp(np.log(outliers) + noise.log_clutter_density, np.log1p(-outliers) + log_places)
 
-    def evidence(self, errors: MeasurementNoise) -> Float64[np.ndarray, " n"]:
+    def evidence(self, noise: MeasurementNoise) -> Float64[np.ndarray, " n"]:
         """Log of the support of each image for the true place, as in `associate`."""
-        covariance = errors.covariance(self.covariance)
+        covariance = noise.covariance(self.covariance)
         solved = np.linalg.solve(covariance, self.residual[..., None])[..., 0]
         squared = np.einsum("pi,pi->p", self.residual, solved)
         support = np.bincount(self.image, self.fraction * np.exp(-0.5 * squared / PLACE**2))
-        possible = support / (support + errors.possible_fraction)
-        return np.log(errors.outlier_probability + (1.0 - errors.outlier_probability) * possible)
+        possible = support / (support + noise.possible_fraction)
+        return np.log(noise.outlier_probability + (1.0 - noise.outlier_probability) * possible)
 
-    def residuals(self, errors: MeasurementNoise) -> tuple[Float64[np.ndarray, "n 6"], Bool[np.ndarray, " n"]]:
+    def residuals(self, noise: MeasurementNoise) -> tuple[Float64[np.ndarray, "n 6"], Bool[np.ndarray, " n"]]:
         """Errors of the likeliest places in standard deviations, and the mask of images that beat a flat density.
 
         Large errors are reduced by the weight of a Student t distribution.
         """
-        best = self._likeliest(errors)
-        unit = np.asarray(self.typical_std(errors))
-        covariance = errors.covariance(self.covariance[best]) / np.multiply.outer(unit, unit)
+        best = self._likeliest(noise)
+        unit = np.asarray(self.typical_std(noise))
+        covariance = noise.covariance(self.covariance[best]) / np.multiply.outer(unit, unit)
         values, vectors = np.linalg.eigh(covariance)
         normal = np.einsum("nij,nj->ni", np.swapaxes(vectors, 1, 2), self.residual[best] / unit)
         normal = np.einsum("nij,nj->ni", vectors, normal / np.sqrt(values))
-        weight = (errors.degrees_of_freedom + 6.0) / (errors.degrees_of_freedom + np.square(normal).sum(axis=1))
-        log_odds = np.log1p(-errors.outlier_probability) - np.log(errors.outlier_probability)
-        terms = torch.from_numpy(self._log_terms(errors))
+        weight = (noise.degrees_of_freedom + 6.0) / (noise.degrees_of_freedom + np.square(normal).sum(axis=1))
+        log_odds = np.log1p(-noise.outlier_probability) - np.log(noise.outlier_probability)
+        terms = torch.from_numpy(self._log_terms(noise))
         log_places = log_sums(terms, torch.from_numpy(self.image)).numpy()
-        return normal * np.sqrt(np.minimum(weight, 1.0))[:, None], log_places + log_odds > errors.log_clutter_density
+        return normal * np.sqrt(np.minimum(weight, 1.0))[:, None], log_places + log_odds > noise.log_clutter_density
 
-    def coverage(self, errors: MeasurementNoise) -> tuple[float, float, float]:
+    def coverage(self, noise: MeasurementNoise) -> tuple[float, float, float]:
         """Fractions of the images whose true pose is in the 50, 90 and 95 % region of its likeliest place."""
-        squared = self._squared(errors)
+        squared = self._squared(noise)
         fifty, ninety, most = (
-            float((squared <= 6.0 * fisher.ppf(q, 6, errors.degrees_of_freedom)).mean()) for q in REGIONS
+            float((squared <= 6.0 * fisher.ppf(q, 6, noise.degrees_of_freedom)).mean()) for q in REGIONS
         )
         return fifty, ninety, most
 
-    def lacking(self, errors: MeasurementNoise, region: float) -> float:
+    def lacking(self, noise: MeasurementNoise, region: float) -> float:
         """Factor ≥ 1 of the variances with which the region of this probability holds that fraction of the poses."""
-        reached = float(np.quantile(self._squared(errors), region, method="higher"))
-        return max(1.0, reached / float(6.0 * fisher.ppf(region, 6, errors.degrees_of_freedom)))
+        reached = float(np.quantile(self._squared(noise), region, method="higher"))
+        return max(1.0, reached / float(6.0 * fisher.ppf(region, 6, noise.degrees_of_freedom)))
 
-    def _squared(self, errors: MeasurementNoise) -> Float64[np.ndarray, " n"]:
-        best = self._likeliest(errors)
-        covariance = errors.covariance(self.covariance[best])
+    def _squared(self, noise: MeasurementNoise) -> Float64[np.ndarray, " n"]:
+        best = self._likeliest(noise)
+        covariance = noise.covariance(self.covariance[best])
         solved = np.linalg.solve(covariance, self.residual[best][..., None])[..., 0]
         return np.einsum("ni,ni->n", self.residual[best], solved)
 
-    def typical_std(self, errors: MeasurementNoise) -> Six:
+    def typical_std(self, noise: MeasurementNoise) -> Six:
         """Standard deviations of the error of the likeliest place, median over the images."""
-        variances = np.diagonal(errors.covariance(self.covariance[self._likeliest(errors)]), axis1=1, axis2=2)
+        variances = np.diagonal(noise.covariance(self.covariance[self._likeliest(noise)]), axis1=1, axis2=2)
         return six(np.sqrt(np.median(variances, axis=0)))
 
-    def _likeliest(self, errors: MeasurementNoise) -> Int64[np.ndarray, " n"]:
-        order = np.lexsort([-self._log_terms(errors), self.image])
+    def _likeliest(self, noise: MeasurementNoise) -> Int64[np.ndarray, " n"]:
+        order = np.lexsort([-self._log_terms(noise), self.image])
         return order[np.flatnonzero(np.diff(self.image, prepend=-1))]
 
-    def _log_terms(self, errors: MeasurementNoise) -> Float64[np.ndarray, " p"]:
+    def _log_terms(self, noise: MeasurementNoise) -> Float64[np.ndarray, " p"]:
         terms, _ = log_densities(
             torch.from_numpy(self.residual),
             torch.from_numpy(self.covariance),
             torch.from_numpy(self.fraction),
-            torch.tensor(errors.spread, dtype=torch.float64),
-            torch.tensor(errors.noise_floor, dtype=torch.float64),
-            torch.tensor(errors.degrees_of_freedom, dtype=torch.float64),
+            torch.tensor(noise.spread, dtype=torch.float64),
+            torch.tensor(noise.noise_floor, dtype=torch.float64),
+            torch.tensor(noise.degrees_of_freedom, dtype=torch.float64),
         )
         return terms.numpy()

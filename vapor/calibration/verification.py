@@ -55,7 +55,7 @@ class SeenPlaces:
         metres, radians = poses.distance(truth)
         offset = posterior.means.between(truth).log()
         squared = np.einsum("ki,kij,kj->k", offset, np.linalg.inv(posterior.covariances), offset)
-        inside = squared < 6.0 * fisher.ppf(_REGION, 6, posterior.errors.degrees_of_freedom)
+        inside = squared < 6.0 * fisher.ppf(_REGION, 6, posterior.noise.degrees_of_freedom)
         return SeenPlaces(
             np.array([float(each.inliers) for each in found]),
             proposed_weights(posterior, poses),

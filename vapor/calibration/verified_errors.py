@@ -172,7 +172,7 @@ class VerifiedErrors:
     regions.
     """
 
-    errors: MeasurementNoise
+    noise: MeasurementNoise
     images: int
     effective_images: float
     elsewhere: float
@@ -195,24 +195,24 @@ def fit_verified_errors(left_out: LeaveOut, log_clutter_density: float) -> Verif
     covariance = np.stack([pose.covariance for _, pose in rows])
     places = Places(residual, covariance, np.ones(len(rows)), np.arange(len(rows)))
     found = most_likely_errors(places, depth_m, log_clutter_density, None)
-    errors = replace(MeasurementNoise(log_clutter_density=log_clutter_density), **found.settings(depth_m))
-    residuals, usable = places.residuals(errors)
+    noise = replace(MeasurementNoise(log_clutter_density=log_clutter_density), **found.settings(depth_m))
+    residuals, usable = places.residuals(noise)
     travel = left_out.travel[which]
     correlated = _error_correlation(residuals, usable, travel, depth_m)
     effective = effective_images(travel, correlated)
-    errors = cautious(errors, effective)
+    noise = cautious(noise, effective)
     # Up to half of the images may look like outliers of the likeliest errors, but all of these places are right.
-    errors = errors.inflated(places.lacking(errors, _HELD))
-    errors = replace(
-        errors,
+    noise = noise.inflated(places.lacking(noise, _HELD))
+    noise = replace(
+        noise,
         outlier_probability=_NONE_RIGHT,
         correlated_fraction=correlated.fraction,
         length_m=correlated.length_m,
         length_rad=correlated.length_rad,
-        typical_std=places.typical_std(errors),
+        typical_std=places.typical_std(noise),
     )
     metres, radians = (float(np.median(each)) for each in left_out.errors)
-    return VerifiedErrors(errors, len(rows), effective, left_out.elsewhere, metres, radians, places.coverage(errors))
+    return VerifiedErrors(noise, len(rows), effective, left_out.elsewhere, metres, radians, places.coverage(noise))
 
 
 def _error_correlation(

@@ -110,7 +110,7 @@ def verified(
     An image that verifies a place is of this map, and so not out of distribution. `mapped` states where landmarks can
     verify places; None for everywhere.
     """
-    of_verified = posterior.errors.verified
+    of_verified = posterior.noise.verified
     if not found or of_verified is None:
         return posterior
     means = Poses.stack([each.world_from_camera for each in found])
@@ -147,16 +147,16 @@ class LandmarkVerifier:
 
     Args:
         landmarks: A model's, see `ModelDescription.landmarks`.
-        errors: Of verified places, the model's `calibration.errors.verified`.
+        noise: Of verified places, the model's `calibration.errors.verified`.
 
     Attributes:
         latest: Verified poses of the latest image, by decreasing number of landmarks.
     """
 
-    def __init__(self, landmarks: Landmarks, errors: MeasurementNoise) -> None:
+    def __init__(self, landmarks: Landmarks, noise: MeasurementNoise) -> None:
         self.landmarks = landmarks
         self.latest: list[VerifiedPose] = []
-        self._errors, self._localizer = errors, LandmarkLocalizer(landmarks.map)
+        self._noise, self._localizer = noise, LandmarkLocalizer(landmarks.map)
         pinhole = landmarks.map.camera.camera
         self._as_found = AsTakenBy(pinhole, (pinhole.width, pinhole.height))
 
@@ -179,8 +179,8 @@ class LandmarkVerifier:
     def verify(self, image: Rgb, camera: Camera | None, posterior: PosePosterior) -> PosePosterior:
         """The posterior of an undistorted RGB image with its verified places, and their errors where it has none."""
         self.latest = self.find(image, camera, posterior)
-        if posterior.errors.verified is None:
-            posterior = replace(posterior, errors=replace(posterior.errors, verified=self._errors))
+        if posterior.noise.verified is None:
+            posterior = replace(posterior, noise=replace(posterior.noise, verified=self._noise))
         return verified(posterior, self.latest, self.landmarks.verification, self.landmarks.mapped)
 
     def shown(

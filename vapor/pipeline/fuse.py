@@ -60,9 +60,9 @@ class EstimateModel:
         VaporTrackError: the number of stated uncertainties is neither one nor the number of files.
     """
 
-    def __init__(self, num_files: int, config: EstimateConfig, errors: MeasurementNoise) -> None:
+    def __init__(self, num_files: int, config: EstimateConfig, noise: MeasurementNoise) -> None:
         self.config = config
-        self.errors = errors
+        self.noise = noise
         for name, values in (("std_m", config.std_m), ("std_deg", config.std_deg)):
             if len(values) not in (1, num_files):
                 raise VaporTrackError(f"{name} has {len(values)} values, expected one, or one for each of {num_files}")
@@ -80,7 +80,7 @@ class EstimateModel:
             Poses.from_matrix(image["world_from_camera"]),
             self._std_m[file],
             self._std_rad[file],
-            self.errors,
+            self.noise,
             weights=mixture_weights(file, image["weight"], self.config.outlier_weight),
         )
 
@@ -98,7 +98,7 @@ def mixture_weights(
     return weight / total[own] / len(files)
 
 
-def errors_of(sequence: EstimateSequence, trust: EstimateConfig) -> MeasurementNoise:
+def noise_of(sequence: EstimateSequence, trust: EstimateConfig) -> MeasurementNoise:
     """Errors as stated, alike while the camera comes as far as it does in the time stated.
 
     Poses are taken to be spread evenly over a box, and all rotations. It holds the middle 98 % of the positions along
@@ -173,15 +173,15 @@ def fuse(
                 f"{stated[0]}: no weights, expected a column of them (--columns) beside an outlier_weight of"
                 f" {trust.outlier_weight:g}"
             )
-        errors = errors_of(sequence, trust)
-        model = EstimateModel(len(sequence.files), trust, errors)
+        noise = noise_of(sequence, trust)
+        model = EstimateModel(len(sequence.files), trust, noise)
         config = replace(config, localizer=over_sequences(config.localizer))
         record = localize(
             sequence,
             model,
             directory,
             config,
-            errors,
+            noise,
             observed=lambda frame: frame.estimates,
             place=Place(Poses.concatenate([file.poses for file in sequence.files]), "given estimates"),
             allow_few_images=reading.allow_few_images,
@@ -196,7 +196,7 @@ def fuse(
             "run": asdict(config),
             "trust": asdict(trust),
             "reading": asdict(reading),
-            "errors": asdict(errors),
+            "errors": asdict(noise),
         }
         title = ", ".join(file.path.stem for file in sequence.files)
         return write_results(record, directory, settings, title=title, notices=sequence.notices, command=command)

@@ -69,7 +69,7 @@ def localize(
     model: ObservationModel,
     directory: Path,
     config: FilteringConfig,
-    errors: MeasurementNoise,
+    noise: MeasurementNoise,
     *,
     observed: Callable[[Any], np.ndarray] = attrgetter("image"),
     odometry_fit: OdometryFit | None = None,
@@ -85,7 +85,7 @@ def localize(
         model: Maps an observation to its posterior.
         directory: Where `estimate.mcap` and `recording.rrd` go.
         config: Settings.
-        errors: How the model's posteriors err.
+        noise: How the model's posteriors err.
         observed: The observation of a frame.
         odometry_fit: Errors of the odometry; None for those that frames and settings state.
         storeys: Of the building, where there are several.
@@ -135,14 +135,14 @@ def localize(
                 f"{source.path}: {source.counts.warning} Expected at least one in ten (--allow-few-images localizes"
                 " fewer)"
             )
-        at_end = poses_at_end(history, errors, settings) if history.evidence else {}
+        at_end = poses_at_end(history, noise, settings) if history.evidence else {}
         record = outputs.record(skipped=source.skipped, images=source.counts, at_end=at_end)
     return replace(
         record,
         storeys=storeys,
         storey_belief=None if storeys is None else np.stack(on_storeys),
-        num_verified=None if errors.verified is None else verified,
-        smoothed_agreement=trajectory_agreement(at_end["smoothed"], record.times_ns, history.evidence, errors),
+        num_verified=None if noise.verified is None else verified,
+        smoothed_agreement=trajectory_agreement(at_end["smoothed"], record.times_ns, history.evidence, noise),
     )
 
 

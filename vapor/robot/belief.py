@@ -92,8 +92,8 @@ class LiveBelief:
         self.localizer, self.reader, self._model, self._fit = localizer, reader, model, fit
         self.anchor: Anchor | None = None
         self.now: Estimate | None = None
-        errors = model.description.calibration.errors.finest
-        self._views = NoveltyTracker(errors.length_m, errors.length_rad)
+        noise = model.description.calibration.errors.finest
+        self._views = NoveltyTracker(noise.length_m, noise.length_rad)
         self._verified_s = -np.inf  # when landmarks were last looked for, of `time.monotonic`
 
     def observe(self, frame: Frame) -> PosePosterior:
@@ -142,10 +142,10 @@ class LiveBelief:
         self._begin_at(self.reader.odometry_ns)
 
     def start_at(
-        self, time_ns: int, pose: Poses, covariance: Float64[np.ndarray, "6 6"], errors: MeasurementNoise
+        self, time_ns: int, pose: Poses, covariance: Float64[np.ndarray, "6 6"], noise: MeasurementNoise
     ) -> Anchor:
         """Start at a stated pose; the arguments are those of `ParticleLocalizer.start_at`, at a time with odometry."""
-        estimate = self.localizer.start_at(pose, covariance, errors)
+        estimate = self.localizer.start_at(pose, covariance, noise)
         map_from_odom = self._map_from_odom(estimate, self.reader.odom_from_base(time_ns))
         self._begin_at(time_ns)
         self.anchor = Anchor(time_ns, self.reader.readings, estimate, map_from_odom, None)

@@ -26,7 +26,7 @@ class Ablation:
 
     meaning: str
     localizer: Callable[[LocalizerConfig], LocalizerConfig] = lambda config: config
-    errors: Callable[[MeasurementNoise], MeasurementNoise] = lambda errors: errors
+    noise: Callable[[MeasurementNoise], MeasurementNoise] = lambda noise: noise
     known_kidnap: bool = False
 
     def start(self, config: LocalizerConfig, *, rng: np.random.Generator, kidnap_index: int | None = None) -> Localizer:
@@ -52,15 +52,15 @@ class _KnownKidnap:
         return self._localizer.advance(observation)
 
 
-def _independent(errors: MeasurementNoise) -> MeasurementNoise:
-    verified = None if errors.verified is None else _independent(errors.verified)
-    new = {"correlated_fraction": 0.0, "length_m": 1e-6 * errors.length_m, "length_rad": 1e-6}
-    return replace(errors, **new, verified=verified)
+def _independent(noise: MeasurementNoise) -> MeasurementNoise:
+    verified = None if noise.verified is None else _independent(noise.verified)
+    new = {"correlated_fraction": 0.0, "length_m": 1e-6 * noise.length_m, "length_rad": 1e-6}
+    return replace(noise, **new, verified=verified)
 
 
-def _gaussian(errors: MeasurementNoise) -> MeasurementNoise:
+def _gaussian(noise: MeasurementNoise) -> MeasurementNoise:
     return replace(
-        errors, degrees_of_freedom=1e6, verified=None if errors.verified is None else _gaussian(errors.verified)
+        noise, degrees_of_freedom=1e6, verified=None if noise.verified is None else _gaussian(noise.verified)
     )
 
 
@@ -68,15 +68,15 @@ def _gaussian(errors: MeasurementNoise) -> MeasurementNoise:
 ABLATIONS: Mapping[str, Ablation] = MappingProxyType(
     {
         "full": Ablation("the filter as it is"),
-        "no-correlation": Ablation("every image errs independently, and its view is new", errors=_independent),
-        "no-tails": Ablation("Gaussian errors", errors=_gaussian),
+        "no-correlation": Ablation("every image errs independently, and its view is new", noise=_independent),
+        "no-tails": Ablation("Gaussian errors", noise=_gaussian),
         "no-adaptation": Ablation(
             "images err as modelled, whatever odometry shows",
             localizer=lambda config: replace(config, adapt_errors=False),
         ),
         "trusting-fractions": Ablation(
             "a place is as probable as the fraction of the samples in it",
-            errors=lambda errors: replace(errors, possible_fraction=1.0),
+            noise=lambda noise: replace(noise, possible_fraction=1.0),
         ),
         "no-odometry-bias": Ablation(
             "the odometry errs as white noise only",

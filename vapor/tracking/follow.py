@@ -75,11 +75,11 @@ class Segment:
         return Poses.concatenate([dead_reckoning(self.truth[a], self.odometry[a:b]) for a, b in segments])
 
 
-def posterior_of(samples: Poses, errors: MeasurementNoise, ood_score: float) -> PosePosterior:
+def posterior_of(samples: Poses, noise: MeasurementNoise, ood_score: float) -> PosePosterior:
     """The posterior of an image by its samples; without any, an uninformative one, see `ParticleLocalizer.observe`."""
     if len(samples):
-        return PosePosterior.from_samples(samples, errors, ood_score=ood_score)
-    return replace(PosePosterior.uninformative(errors), ood_score=ood_score)
+        return PosePosterior.from_samples(samples, noise, ood_score=ood_score)
+    return replace(PosePosterior.uninformative(noise), ood_score=ood_score)
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ class Followed:
     """
 
     segment: Segment
-    errors: MeasurementNoise
+    noise: MeasurementNoise
     config: LocalizerConfig
     beliefs: dict[str, Belief]
     image_modes: tuple[tuple[Mode, ...], ...]
@@ -111,12 +111,12 @@ class Followed:
 
     def poses_at_end(self) -> dict[str, Poses]:
         """Poses of every method that sees the whole segment at once, by name, world_from_camera, (n,) each."""
-        return poses_at_end(self.history, self.errors, self.config)
+        return poses_at_end(self.history, self.noise, self.config)
 
 
 def follow(
     segment: Segment,
-    errors: MeasurementNoise,
+    noise: MeasurementNoise,
     config: LocalizerConfig,
     *,
     rng: np.random.Generator,
@@ -126,7 +126,7 @@ def follow(
 ) -> Followed:
     """Localize a segment, whose first image has a place, by filter and baselines with the same errors and odometry.
 
-    The ablation starts the filter; its changes of `errors` and `config` are already made, as they concern all methods.
+    The ablation starts the filter; its changes of `noise` and `config` are already made, as they concern all methods.
 
     Raises:
         VaporTrackError: unusable odometry or posteriors.
@@ -151,7 +151,7 @@ def follow(
         for name, modes in step.baselines.items():
             of_baselines.setdefault(name, []).append(modes)
         step_ms.append(step.step_ms)
-    widest_m = config.widest_std_m(errors)
+    widest_m = config.widest_std_m(noise)
     beliefs = {
         name: Belief(modes, [mode_status(each[0], widest_m, config.converged_weight) for each in modes])
         for name, modes in of_baselines.items()
@@ -159,7 +159,7 @@ def follow(
     beliefs["filter"] = Belief([each.modes for each in estimates], [each.status for each in estimates])
     return Followed(
         segment,
-        errors,
+        noise,
         config,
         beliefs,
         tuple(image_modes),

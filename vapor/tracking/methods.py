@@ -41,7 +41,7 @@ def gaussian_sum(config: LocalizerConfig) -> LocalizerConfig:
     return replace(config, **rates, births="rate", max_hypotheses=GAUSSIANS, resampling="heaviest")
 
 
-def smooth_history(history: History, errors: MeasurementNoise, config: LocalizerConfig) -> Poses:
+def smooth_history(history: History, noise: MeasurementNoise, config: LocalizerConfig) -> Poses:
     """Smoothed poses of a run, world_from_camera, (n,); of the settings only odometry bias are used."""
     from filtering.smoothing import SMOOTHED_MODES, SmoothingConfig, smooth  # loads GTSAM, which takes a while
 
@@ -51,7 +51,7 @@ def smooth_history(history: History, errors: MeasurementNoise, config: Localizer
         np.array(history.normalized_distances),
         Poses.stack(history.filtered),
         np.array(history.converged, bool),
-        errors,
+        noise,
         SmoothingConfig(odometry_bias=config.odometry_bias),
     )
 
@@ -126,9 +126,9 @@ def start_baselines(
     return {name: method.tracker(config, rng()) for name, method in METHODS.items() if method.tracker and name in only}
 
 
-def poses_at_end(history: History, errors: MeasurementNoise, config: LocalizerConfig) -> dict[str, Poses]:
+def poses_at_end(history: History, noise: MeasurementNoise, config: LocalizerConfig) -> dict[str, Poses]:
     """Poses (n,) of the methods that see a whole run of n images at once, by name."""
-    return {name: method.at_end(history, errors, config) for name, method in METHODS.items() if method.at_end}
+    return {name: method.at_end(history, noise, config) for name, method in METHODS.items() if method.at_end}
 
 
 def in_order(of_methods: Mapping[str, Of]) -> dict[str, Of]:

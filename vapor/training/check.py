@@ -85,11 +85,11 @@ def check(
     candidates += [(factor, False, _inflated(fitted.errors, factor)) for factor in _WIDER]
     candidates.append((1.0, True, replace(default_errors(scene), verified=fitted.errors.verified)))
     found, followed, kept = None, [], fitted.errors
-    for inflation, assumed, errors in candidates:
-        again = [each.followed(errors, fitted.odometry, landmarks, seed) for each in passes]
+    for inflation, assumed, noise in candidates:
+        again = [each.followed(noise, fitted.odometry, landmarks, seed) for each in passes]
         other = replace(_summed(again), inflation=inflation, assumed=assumed)
         if found is None or other.rank > found.rank:
-            found, followed, kept = other, again, errors
+            found, followed, kept = other, again, noise
         if not (found.worse or found.overconfident):
             break
     assert found is not None
@@ -109,25 +109,25 @@ class _Pass:
     verified_poses: list[Sequence[VerifiedPose]]
 
     def followed(
-        self, errors: MeasurementNoise, fit: OdometryFit | None, landmarks: HeldOutLandmarks | None, seed: int
+        self, noise: MeasurementNoise, fit: OdometryFit | None, landmarks: HeldOutLandmarks | None, seed: int
     ) -> Followed:
         """The filter along the pass, with these errors of images."""
         config = LocalizerConfig() if fit is None else replace(LocalizerConfig(), odometry_bias=fit.odometry_bias)
 
         def posterior(image: int) -> PosePosterior:
-            coarse = posterior_of(self.samples[image], errors, float(self.scores[image]))
+            coarse = posterior_of(self.samples[image], noise, float(self.scores[image]))
             if landmarks is None:
                 return coarse
             return verified(coarse, self.verified_poses[image], landmarks.verification, landmarks.mapped)
 
         segment = Segment(self.images.times_ns, self.odometry, self.images.poses, posterior).restated(fit)
-        return follow(segment, errors, config, rng=np.random.default_rng(seed), baselines=("kalman",))
+        return follow(segment, noise, config, rng=np.random.default_rng(seed), baselines=("kalman",))
 
 
-def _inflated(errors: MeasurementNoise, factor: float) -> MeasurementNoise:
+def _inflated(noise: MeasurementNoise, factor: float) -> MeasurementNoise:
     """Errors of all places, verified ones too, with larger variances."""
-    verified_errors = None if errors.verified is None else errors.verified.inflated(factor)
-    return replace(errors.inflated(factor), verified=verified_errors)
+    verified_errors = None if noise.verified is None else noise.verified.inflated(factor)
+    return replace(noise.inflated(factor), verified=verified_errors)
 
 
 def _runs(

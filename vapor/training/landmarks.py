@@ -176,13 +176,13 @@ class HeldOutLandmarks:
                 seen.append(SeenPlaces.of(posterior, found, truth, near_m=_NEAR[0] * depth_m, near_rad=_NEAR[1]))
         if not seen:
             return held
-        errors, own = calibration.errors, landmarks.verified.errors
-        longer = max(errors.outlier_lengths, 1.0)
-        correlation = ErrorCorrelation(1.0, longer * errors.length_m, longer * errors.length_rad)
+        noise, own = calibration.errors, landmarks.verified.noise
+        longer = max(noise.outlier_lengths, 1.0)
+        correlation = ErrorCorrelation(1.0, longer * noise.length_m, longer * noise.length_rad)
         travel = Travel.along(split.source.poses, pass_numbers(split.source))[np.array(which)]
         effective = effective_images(travel, correlation)
         verification, wrong = fit_verification(seen, effective, landmarks.verification), none_right(seen, effective)
-        weights = evidence(seen, verification, wrong, errors.possible_fraction)
+        weights = evidence(seen, verification, wrong, noise.possible_fraction)
         lengths = ErrorCorrelation(1.0, own.length_m, own.length_rad)
         mistaken = max(outlier_lengths(weights, travel, lengths), _NEW_VIEW * depth_m / own.length_m)
         return replace(held, verification=verification, none_right=wrong, outlier_lengths=mistaken)

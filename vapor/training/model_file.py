@@ -71,7 +71,7 @@ def calibrate_and_check(
         if landmarks is None:
             return HeldOutFindings(calibration)
         of_everything = Landmarks(landmarks.built.landmarks, landmarks.verification)
-        return HeldOutFindings(_with_verified(calibration, landmarks.verified.errors), landmarks=of_everything)
+        return HeldOutFindings(_with_verified(calibration, landmarks.verified.noise), landmarks=of_everything)
     ood_model = _ood_model(model, split, config)
     calibrated = calibrate(
         model,
@@ -86,7 +86,7 @@ def calibrate_and_check(
     )
     held = None
     if landmarks is not None:
-        verified = landmarks.verified.errors
+        verified = landmarks.verified.noise
         calibration = _with_verified(calibrated.calibration, verified)
         held = HeldOutLandmarks.of(landmarks, model, split, calibration, ood_model, config)
         verified = replace(verified, outlier_probability=held.none_right, outlier_lengths=held.outlier_lengths)

@@ -81,7 +81,7 @@ def test_without_images_nothing_is_said_and_nothing_is_out_of_distribution():
 def test_an_image_that_is_uninformative_moves_the_filter_as_no_image_does():
     replay, (one, other) = walk(), [ParticleLocalizer(None, rng=np.random.default_rng(0)) for _ in range(2)]
     for localizer in (one, other):
-        localizer.update(PosePosterior.from_samples(translated([[0.0, 0.0, 0.0]]), posterior().errors), None)
+        localizer.update(PosePosterior.from_samples(translated([[0.0, 0.0, 0.0]]), posterior().noise), None)
     predicted, updated = one.predict(replay.odometry[3]), other.update(posterior(), replay.odometry[3])
     np.testing.assert_array_equal(predicted.log_weights, updated.log_weights)
     np.testing.assert_array_equal(predicted.covariances, updated.covariances)
@@ -90,7 +90,7 @@ def test_an_image_that_is_uninformative_moves_the_filter_as_no_image_does():
 
 
 def posterior(ood_score: float = 0.0) -> PosePosterior:
-    return posterior_of(Poses.identity(0), PosePosterior.uninformative().errors, ood_score)
+    return posterior_of(Poses.identity(0), PosePosterior.uninformative().noise, ood_score)
 
 
 def test_a_frozen_camera_is_uninformative_and_is_as_unfamiliar_as_its_last_image():

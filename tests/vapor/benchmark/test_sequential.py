@@ -25,8 +25,8 @@ def segment_of(made) -> Segment:
     return Segment(times_ns, tuple(made.odometry), made.truth, made.posteriors.__getitem__)
 
 
-def followed(segment: Segment, errors=ERRORS):
-    return follow(segment, errors, LocalizerConfig(), rng=np.random.default_rng(0), baselines=())
+def followed(segment: Segment, noise=ERRORS):
+    return follow(segment, noise, LocalizerConfig(), rng=np.random.default_rng(0), baselines=())
 
 
 def test_one_of_the_last_ten_images_off_is_a_failure_and_of_those_before_none_counts():
@@ -110,8 +110,8 @@ def test_limits_grow_with_the_unit():
     found = []
     for unit in (1.0, 30.0):
         made = walk(45, rng=np.random.default_rng(3), lifts=lifts, unit=unit)
-        errors = ERRORS.scaled(unit)
-        found.append(evaluate_sequences(followed(segment_of(made), errors), seed=(0,), unit_m=unit))
+        noise = ERRORS.scaled(unit)
+        found.append(evaluate_sequences(followed(segment_of(made), noise), seed=(0,), unit_m=unit))
     assert found[0] == found[1]
     assert 0.0 < found[0]["15"]["success"]["filter"]["1m"] < 1.0  # the third one has nothing unique
 

@@ -69,11 +69,11 @@ def test_errors_are_fitted_on_images_and_odometry_on_what_leads_between_them():
     assert [change.what for change in result.changes] == ["kernel widths", "errors of an image", "how long they last"]
     assert result.coverage is not None
     assert 0.0 <= result.coverage[0] <= result.coverage[1] <= result.coverage[2] <= 1.0
-    errors = result.calibration.errors
-    assert errors != MeasurementNoise()
+    noise = result.calibration.errors
+    assert noise != MeasurementNoise()
     # A network of random weights is anywhere in the scene: what it says is worth little.
     extent = np.ptp(images.poses.translation, axis=0)
-    assert max(errors.typical_std[:3]) > 0.1 * extent.max()
+    assert max(noise.typical_std[:3]) > 0.1 * extent.max()
     odometry = result.calibration.odometry
     assert odometry is not None
     assert (result.odometry, odometry.increments, odometry.recordings) == ("held-out data", 132, 3)
@@ -100,8 +100,8 @@ def test_twenty_images_are_enough():
     images = load_training_set({"a": frames_of(20)}, (36, 36))
     result = calibrate(network_for(images), images, images.poses, Calibration(), max_images=500, seed=0)
     assert (result.images, result.notes) == (20, ())
-    errors = result.calibration.errors
-    assert errors.constant_fraction == pytest.approx(0.1 + 2.0 / result.effective_images)
+    noise = result.calibration.errors
+    assert noise.constant_fraction == pytest.approx(0.1 + 2.0 / result.effective_images)
 
 
 @pytest.mark.usefixtures("unchecked")

@@ -47,11 +47,11 @@ def fit_lasting(length_m: float, fraction: float):
 @pytest.mark.parametrize(("length_m", "fraction"), [(0.5, 0.65), (2.0, 0.6)])
 def test_how_long_errors_last_is_found(length_m, fraction):
     found = fit_lasting(length_m, fraction)
-    assert length_m / 2 < found.errors.length_m < length_m * 2
-    assert found.errors.correlated_fraction == pytest.approx(fraction, abs=0.12)
-    expected = 1 + STEP * 500 / (2 * found.errors.length_m)
+    assert length_m / 2 < found.noise.length_m < length_m * 2
+    assert found.noise.correlated_fraction == pytest.approx(fraction, abs=0.12)
+    expected = 1 + STEP * 500 / (2 * found.noise.length_m)
     assert found.effective_images == pytest.approx(expected, rel=0.05)
-    assert found.errors.outlier_probability == 0.05
+    assert found.noise.outlier_probability == 0.05
 
 
 @cache
@@ -71,7 +71,7 @@ def mistaking(
     scene = Poses.concatenate([truth, Poses(truth.rotation, truth.translation + np.array([0.0, 0.0, 45.0]))])
     travel = Travel.along(truth, np.zeros(count, np.int64))
     before = default_errors(scene)
-    return fit_errors(Observations(samples, truth, None), travel, scene, before, same_conditions=same_conditions).errors
+    return fit_errors(Observations(samples, truth, None), travel, scene, before, same_conditions=same_conditions).noise
 
 
 @full
@@ -91,15 +91,15 @@ def test_where_conditions_are_those_of_use_mistakes_last_as_long_as_on_held_out_
 
 
 def test_mistakes_that_fade_sooner_than_errors_are_votes_closer_than_a_length():
-    errors = mistaking(0.2, errors_last=2.0, same_conditions=True)
-    assert errors.outlier_lengths < 0.6
-    assert errors.outlier_lengths * errors.length_m == pytest.approx(2 * 0.2, rel=0.6)
+    noise = mistaking(0.2, errors_last=2.0, same_conditions=True)
+    assert noise.outlier_lengths < 0.6
+    assert noise.outlier_lengths * noise.length_m == pytest.approx(2 * 0.2, rel=0.6)
     new_each_time = mistaking(0.0, errors_last=4.0, count=150, same_conditions=True)
     assert new_each_time.outlier_lengths >= 0.25
 
 
 def test_images_that_never_mistake_the_place_are_worth_one_a_length():
-    assert fit_lasting(0.5, 0.65).errors.outlier_lengths == pytest.approx(1.0, abs=0.5)
+    assert fit_lasting(0.5, 0.65).noise.outlier_lengths == pytest.approx(1.0, abs=0.5)
 
 
 def found_correlation(normal: np.ndarray, truth: Poses, passes: int = 1, extent: float = 20.0) -> ErrorCorrelation:
@@ -164,7 +164,7 @@ def test_a_segment_of_larger_errors_does_not_lengthen_how_long_they_last():
         rng = np.random.default_rng(8)
         normal = correlated(180, 0.5, 0.6, rng=rng)
         normal[60:120] *= larger
-        found.append(fit_walk(normal, rng=rng).errors)
+        found.append(fit_walk(normal, rng=rng).noise)
     step_of_the_search = 50 ** (1 / 9)
     assert found[1].length_m <= 1.01 * step_of_the_search * found[0].length_m
     assert found[1].length_m < 1.0
@@ -175,7 +175,7 @@ def test_errors_of_independent_images_last_no_longer_than_they_must():
     rng = np.random.default_rng(2)
     truth = walk(300, 0.1, rng=rng)
     samples = posteriors(truth, replace(TRUE, outlier_probability=1e-9), rng.standard_normal((300, 6)), rng=rng)
-    found = fit(samples, truth, Travel.along(truth, np.zeros(300, np.int64))).errors
+    found = fit(samples, truth, Travel.along(truth, np.zeros(300, np.int64))).noise
     assert (found.correlated_fraction, found.length_m) == (0.5, pytest.approx(0.003 * scene_extent(truth)))
 
 

@@ -19,16 +19,16 @@ pytestmark = pytest.mark.usefixtures("unchecked")
 
 
 def test_spread_noise_floor_tail_and_outliers_of_known_errors_are_found():
-    errors = fitted().errors
-    assert errors.spread == pytest.approx(TRUE.spread, rel=0.35)
-    np.testing.assert_allclose(errors.noise_floor, TRUE.noise_floor, rtol=0.3)
-    assert 3.0 < errors.degrees_of_freedom < 10.0
-    assert errors.outlier_probability == pytest.approx(TRUE.outlier_probability, abs=0.05)  # three standard deviations
+    noise = fitted().noise
+    assert noise.spread == pytest.approx(TRUE.spread, rel=0.35)
+    np.testing.assert_allclose(noise.noise_floor, TRUE.noise_floor, rtol=0.3)
+    assert 3.0 < noise.degrees_of_freedom < 10.0
+    assert noise.outlier_probability == pytest.approx(TRUE.outlier_probability, abs=0.05)  # three standard deviations
     spread = 0.06 * UNIT * np.sqrt(TRUE.spread)
-    np.testing.assert_allclose(errors.typical_std, np.hypot(spread, TRUE.noise_floor), rtol=0.25)
-    assert errors.log_clutter_density == log_clutter_density(simulated()[1])
-    assert errors.possible_fraction == 0.05
-    assert 0.1 < errors.constant_fraction < 0.2  # a little more than by default: the images are many
+    np.testing.assert_allclose(noise.typical_std, np.hypot(spread, TRUE.noise_floor), rtol=0.25)
+    assert noise.log_clutter_density == log_clutter_density(simulated()[1])
+    assert noise.possible_fraction == 0.05
+    assert 0.1 < noise.constant_fraction < 0.2  # a little more than by default: the images are many
     assert fitted().effective_images == len(simulated()[1])
 
 
@@ -40,18 +40,18 @@ def test_regions_of_single_images_hold_as_many_true_poses_as_they_say_but_for_ou
 def test_what_changed_is_told_with_its_gain():
     image, correlated = fitted().changes
     for change in (image, correlated):
-        assert change.after == {name: getattr(fitted().errors, name) for name in change.before}
+        assert change.after == {name: getattr(fitted().noise, name) for name in change.before}
     assert image.before["degrees_of_freedom"] == MeasurementNoise().degrees_of_freedom
     assert image.gain is not None
     assert image.gain > 0.5
-    again = fit(*simulated(100), before=fitted(100).errors).changes[0]
+    again = fit(*simulated(100), before=fitted(100).noise).changes[0]
     assert again.gain == pytest.approx(0.0, abs=1e-6)
 
 
 def test_the_fit_is_the_same_in_a_scene_thirty_times_as_large():
     samples, truth = simulated(100)
     larger = [Poses(poses.rotation, 30.0 * poses.translation) for poses in (*samples, truth)]
-    found, expected = fit(larger[:-1], larger[-1]).errors, fitted(100).errors.scaled(30.0)
+    found, expected = fit(larger[:-1], larger[-1]).noise, fitted(100).noise.scaled(30.0)
     for name in (
         "radius_m",
         "spread",
@@ -73,8 +73,8 @@ def test_a_posterior_that_cannot_decide_between_two_places_is_measured_by_the_ri
     half = len(samples[0]) // 2
     both = [Poses.concatenate([poses[:half], (elsewhere @ poses)[half:]]) for poses in samples]
     found = fit(both, truth)
-    np.testing.assert_allclose(found.errors.noise_floor, fitted().errors.noise_floor, rtol=0.2)
-    assert found.errors.outlier_probability == pytest.approx(TRUE.outlier_probability, abs=0.05)
+    np.testing.assert_allclose(found.noise.noise_floor, fitted().noise.noise_floor, rtol=0.2)
+    assert found.noise.outlier_probability == pytest.approx(TRUE.outlier_probability, abs=0.05)
     np.testing.assert_allclose(found.coverage, fitted().coverage, atol=0.04)
 
 
@@ -109,15 +109,15 @@ def fit_graded(power: float, trained: bool = True, before: MeasurementNoise | No
         before=before,
         score=held_out.score,
         trained=trained_on if trained else None,
-    ).errors
+    ).noise
 
 
 @pytest.mark.usefixtures("widest_places")
 def test_errors_that_grow_with_the_score_are_found_to_with_their_size_at_its_median():
-    errors = fit_graded(1.0)
-    assert errors.ood_power == pytest.approx(1.0, abs=0.25)
-    assert errors.typical_ood_score == pytest.approx(np.median(graded(1.0)[0].score))
-    np.testing.assert_allclose(errors.typical_std, AT_A_HALF, rtol=0.25)
+    noise = fit_graded(1.0)
+    assert noise.ood_power == pytest.approx(1.0, abs=0.25)
+    assert noise.typical_ood_score == pytest.approx(np.median(graded(1.0)[0].score))
+    np.testing.assert_allclose(noise.typical_std, AT_A_HALF, rtol=0.25)
 
 
 @pytest.mark.usefixtures("widest_places")
@@ -128,38 +128,38 @@ def test_errors_that_do_not_depend_on_the_score_do_not_grow():
 @pytest.mark.usefixtures("widest_places")
 def test_without_images_trained_on_the_power_stays_and_the_errors_follow_it():
     before = replace(default_errors(graded(1.0)[0].truth), ood_power=1.0, typical_ood_score=0.25)
-    errors = fit_graded(1.0, trained=False, before=before)
-    assert (errors.ood_power, errors.typical_ood_score) == (1.0, 0.25)
-    np.testing.assert_allclose(errors.typical_std, 0.5 * AT_A_HALF, rtol=0.25)
+    noise = fit_graded(1.0, trained=False, before=before)
+    assert (noise.ood_power, noise.typical_ood_score) == (1.0, 0.25)
+    np.testing.assert_allclose(noise.typical_std, 0.5 * AT_A_HALF, rtol=0.25)
 
 
 @pytest.mark.usefixtures("widest_places")
 def test_where_nobody_knows_how_unfamiliar_images_are_nothing_grows():
     held_out, trained = (replace(seen, score=None) for seen in graded(0.0))
-    assert fit(held_out.samples, held_out.truth, trained=trained).errors.ood_power == 0.0
+    assert fit(held_out.samples, held_out.truth, trained=trained).noise.ood_power == 0.0
 
 
 # --- little, flat and bad data ---------------------------------------------------------------------
 
 
-def usable(errors: MeasurementNoise, samples) -> bool:
-    posterior = PosePosterior.from_samples(samples, errors)
+def usable(noise: MeasurementNoise, samples) -> bool:
+    posterior = PosePosterior.from_samples(samples, noise)
     return bool(np.isfinite(posterior.covariances).all()) and len(posterior.weights) > 0
 
 
 def test_sixty_images_of_one_pass_are_worth_few_and_the_fit_is_cautious():
     rng = np.random.default_rng(3)
     truth = walk(60, 0.05, rng=rng)
-    errors = replace(TRUE, outlier_probability=1e-9, noise_floor=(0.05, 0.2, 0.05, 0.02, 0.02, 0.02))
-    samples = posteriors(truth, errors, np.tile(rng.standard_normal(6), (60, 1)), rng=rng)
+    noise = replace(TRUE, outlier_probability=1e-9, noise_floor=(0.05, 0.2, 0.05, 0.02, 0.02, 0.02))
+    samples = posteriors(truth, noise, np.tile(rng.standard_normal(6), (60, 1)), rng=rng)
     scene = Poses.concatenate([truth, anywhere(100, rng=rng)])
     travel = Travel.along(truth, np.zeros(60, np.int64))
     found = fit_errors(Observations(samples, truth), travel, scene, default_errors(scene))
     assert found.effective_images < 10
-    lengths, angles = np.array(found.errors.noise_floor[:3]), np.array(found.errors.noise_floor[3:])
+    lengths, angles = np.array(found.noise.noise_floor[:3]), np.array(found.noise.noise_floor[3:])
     assert lengths.max() < 3 * lengths.min()
     assert angles.max() < 3 * angles.min()
-    assert usable(found.errors, samples[0])
+    assert usable(found.noise, samples[0])
 
 
 @pytest.mark.usefixtures("widest_places")
@@ -167,7 +167,7 @@ def test_images_that_are_all_wrong_leave_nothing_to_be_believed():
     rng = np.random.default_rng(4)
     truth = anywhere(100, rng=rng)
     samples = posteriors(truth, replace(TRUE, outlier_probability=0.999999), rng.standard_normal((100, 6)), rng=rng)
-    found = fit(samples, truth).errors
+    found = fit(samples, truth).noise
     assert found.outlier_probability > 0.4 or min(found.typical_std[:3]) > 0.05 * scene_extent(truth)
     assert usable(found, samples[0])
 
@@ -182,7 +182,7 @@ def test_cameras_that_move_in_a_plane_get_positive_covariances(num_samples):
     flat = np.array([0.1, 0.1, 0, 0, 0, 0.05])
     offsets = truth @ Poses.exp(rng.standard_normal((80, 6)) * flat)
     samples = [offsets[i] @ Poses.exp(rng.standard_normal((num_samples, 6)) * flat) for i in range(80)]
-    found = fit(samples, truth).errors
+    found = fit(samples, truth).noise
     assert usable(found, samples[0])
     assert 0.0 < found.noise_floor[2] < 0.2
     assert 0.05 < found.typical_std[0] < 0.3
@@ -191,4 +191,4 @@ def test_cameras_that_move_in_a_plane_get_positive_covariances(num_samples):
 def test_cameras_that_all_stand_at_one_place_are_no_division_by_zero():
     truth = Poses.identity(60)
     samples = [Poses.identity(20)] * 60
-    assert usable(fit(samples, truth).errors, samples[0])
+    assert usable(fit(samples, truth).noise, samples[0])

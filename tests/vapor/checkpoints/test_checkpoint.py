@@ -234,8 +234,8 @@ def made_up():
 
 def saved(path):
     checkpoint = make_checkpoint()
-    errors = replace(checkpoint.calibration.errors, verified=MeasurementNoise(degrees_of_freedom=4.0))
-    calibration = replace(checkpoint.calibration, errors=errors)
+    noise = replace(checkpoint.calibration.errors, verified=MeasurementNoise(degrees_of_freedom=4.0))
+    calibration = replace(checkpoint.calibration, errors=noise)
     checkpoint = replace(checkpoint, calibration=calibration, landmarks=made_up())
     save_checkpoint(path, checkpoint)
     return checkpoint

@@ -63,12 +63,12 @@ def errors_m(found, views, truth):
 
 def beyond(found, views, truth):
     """Fraction of the verified images whose true pose is outside of the 99 % region of what is stated."""
-    errors = found.verified.errors
+    noise = found.verified.noise
     outside = []
     for number, pose in first_poses(found, views):
         away = pose.world_from_camera.between(truth[number]).log()
-        squared = away @ np.linalg.solve(errors.covariance(pose.covariance[None])[0], away)
-        outside.append(squared > 6.0 * fisher.ppf(0.99, 6, errors.degrees_of_freedom))
+        squared = away @ np.linalg.solve(noise.covariance(pose.covariance[None])[0], away)
+        outside.append(squared > 6.0 * fisher.ppf(0.99, 6, noise.degrees_of_freedom))
     return float(np.mean(outside)) if outside else 0.0
 
 

@@ -129,8 +129,8 @@ def test_a_run_with_landmarks_reports_a_picture_and_one_without_none(room, built
     model = load_model(str(tiny_model), config)
     run(path, model, tmp_path / "without", config)
     description = model.observation.description
-    errors = replace(description.calibration.errors, verified=SHARP)
-    calibration = replace(description.calibration, errors=errors)
+    noise = replace(description.calibration.errors, verified=SHARP)
+    calibration = replace(description.calibration, errors=noise)
     model.observation.description = replace(description, landmarks=Landmarks(built.landmarks), calibration=calibration)
     result = run(path, model, tmp_path / "with", config)
     assert result.record.num_verified == 8

@@ -111,7 +111,7 @@ def test_errors_are_found_on_images_without_those_near_them_in_time(built):
     assert found.elsewhere == 0.0
     assert found.median_m < 0.03
     assert found.coverage[2] > 0.85
-    assert max(found.errors.typical_std[:3]) < 0.03
+    assert max(found.noise.typical_std[:3]) < 0.03
     none = replace(left_out, found=((),) * len(left_out.found))
     assert fit_verified_errors(none, -6.0) is None
 
@@ -124,9 +124,9 @@ def test_regions_hold_the_left_out_images_though_most_are_exact_and_some_are_far
     away[::3] += rng.uniform(-0.5, 0.5, (34, 6)) * np.repeat([1.0, 0.2], 3)
     found = tuple((replace(found_at(0.0), world_from_camera=poses[i] @ Poses.exp(away[i])),) for i in range(100))
     left_out = LeaveOut(Travel.along(poses, np.zeros(100, int)), found, poses, np.zeros(100), 2.0)
-    errors = fit_verified_errors(left_out, -6.0)
+    found = fit_verified_errors(left_out, -6.0)
     assert len(left_out.right) == 100
-    assert errors.coverage[1] >= 0.9
+    assert found.coverage[1] >= 0.9
 
 
 def test_what_a_verified_place_is_worth_follows_from_held_out_images():
@@ -237,4 +237,4 @@ def test_errors_of_verified_places_are_added_where_a_posterior_has_none(room, ve
     plain = PosePosterior.from_estimates(Poses.stack([POSE]), 0.3, 0.1, replace(ERRORS, verified=None))
     posterior = verifier.verify(room.view(POSE), CAMERA, plain)
     assert posterior.verified.tolist() == [True, False]
-    assert posterior.errors.verified == SHARP
+    assert posterior.noise.verified == SHARP

@@ -19,7 +19,7 @@ from sequences.trajectories.tum import read_tum, write_tum
 from tests.helpers.pose_files import FRAMES, file_of, hypotheses, moved, noisy, walk, write_named
 from tests.helpers.simulation import ERRORS
 from vapor.commands.evaluate import evaluate_directory
-from vapor.pipeline.fuse import EstimateConfig, EstimateModel, errors_of
+from vapor.pipeline.fuse import EstimateConfig, EstimateModel, noise_of
 from vapor.track import main
 from vapor.tracking.methods import FILES
 
@@ -168,22 +168,22 @@ def test_how_estimates_err_follows_from_what_is_stated_and_where_they_are(tmp_pa
     trust = EstimateConfig(
         std_m=(0.1,), std_deg=(5.0,), degrees_of_freedom=3.0, outlier_probability=0.2, independent_after_s=0.5
     )
-    errors = errors_of(sequence, trust)
+    noise = noise_of(sequence, trust)
     margin = 0.2 * np.sqrt(3**2 + 2**2 + 1)
     volume = np.prod(np.array([3, 2, 1]) + margin) * 8 * np.pi**2
-    assert errors.log_clutter_density == pytest.approx(-np.log(volume), rel=0.01)
-    assert errors.typical_std == pytest.approx([0.1] * 3 + [np.radians(5.0)] * 3)
-    assert (errors.degrees_of_freedom, errors.outlier_probability, errors.constant_fraction) == (3.0, 0.2, 0.0)
-    assert errors.length_m == pytest.approx(0.5 * 3.0, rel=1e-6)
+    assert noise.log_clutter_density == pytest.approx(-np.log(volume), rel=0.01)
+    assert noise.typical_std == pytest.approx([0.1] * 3 + [np.radians(5.0)] * 3)
+    assert (noise.degrees_of_freedom, noise.outlier_probability, noise.constant_fraction) == (3.0, 0.2, 0.0)
+    assert noise.length_m == pytest.approx(0.5 * 3.0, rel=1e-6)
     still = file_of(tmp_path / "still.txt", dict.fromkeys(names, Poses.identity()))
-    assert errors_of(EstimateSequence([path], odometry=still, options=BACK), trust).length_m == 0.1
+    assert noise_of(EstimateSequence([path], odometry=still, options=BACK), trust).length_m == 0.1
 
 
 def test_the_model_leaves_out_methods_without_an_estimate_and_drives_the_filter_itself():
     seen = hypotheses((1, 1.0, Poses.identity()), (2, 1.0, moved(Poses.identity(), 0.02)))
     model = EstimateModel(3, EstimateConfig(std_m=(0.9, 0.05, 0.1)), ERRORS)
     posterior = model.observe(seen, rng=np.random.default_rng(0))
-    assert posterior.errors == ERRORS
+    assert posterior.noise == ERRORS
     assert posterior.weights.tolist() == [0.5, 0.5]
     assert posterior.means.translation[:, 0].tolist() == [0.0, 0.02]
     for covariance, std_m in zip(posterior.covariances, (0.05, 0.1), strict=True):

@@ -24,8 +24,8 @@ def clock(monkeypatch):
 @pytest.fixture
 def belief(unchecked):
     """One whose network is asked nothing, of a map whose views are new after half a metre."""
-    errors = MeasurementNoise(verified=MeasurementNoise(length_m=0.5, length_rad=0.5))
-    description = SimpleNamespace(calibration=SimpleNamespace(errors=errors))
+    noise = MeasurementNoise(verified=MeasurementNoise(length_m=0.5, length_rad=0.5))
+    description = SimpleNamespace(calibration=SimpleNamespace(errors=noise))
     model = SimpleNamespace(description=description, verifier="some", verifies=None)
     localizer = SimpleNamespace(observe=lambda image: seen_at(Poses.identity(1)), forget=lambda: None)
     belief = LiveBelief(localizer, model, READER, None)

@@ -24,7 +24,7 @@ def test_every_ablation_follows_a_camera(name):
     localizer = ParticleLocalizer(None, ablation.localizer(LocalizerConfig()), rng=np.random.default_rng(0))
     onward = Odometry(Poses.exp(np.array([0.1, 0, 0, 0, 0, 0])), 1e-4 * np.eye(6), 0.1)
     for i in range(8):
-        posterior = PosePosterior.from_samples(poses_around(0.1 * i, 100, 10 + i), ablation.errors(ERRORS))
+        posterior = PosePosterior.from_samples(poses_around(0.1 * i, 100, 10 + i), ablation.noise(ERRORS))
         estimate = localizer.update(posterior, onward)
     assert np.linalg.norm(estimate.modes[0].world_from_camera.translation - [0.7, 0, 0]) < 0.1
     assert np.isfinite(estimate.log_weights).all()
@@ -35,7 +35,7 @@ def test_each_ablation_changes_one_thing_and_full_nothing():
     changed = {
         name: (
             ablation.localizer(config) != config,
-            ablation.errors(ERRORS) != ERRORS,
+            ablation.noise(ERRORS) != ERRORS,
             ablation.known_kidnap,
         )
         for name, ablation in ABLATIONS.items()
@@ -45,10 +45,10 @@ def test_each_ablation_changes_one_thing_and_full_nothing():
 
 
 def test_without_correlated_errors_every_image_is_new_however_little_the_camera_moves():
-    errors = ABLATIONS["no-correlation"].errors(ERRORS)
-    assert errors.correlated_fraction == 0.0
+    noise = ABLATIONS["no-correlation"].noise(ERRORS)
+    assert noise.correlated_fraction == 0.0
     novelty = {}
-    for name, of_ablation in (("full", ERRORS), ("no-correlation", errors)):
+    for name, of_ablation in (("full", ERRORS), ("no-correlation", noise)):
         localizer = ParticleLocalizer(None, rng=np.random.default_rng(0))
         hardly = Odometry(Poses.exp(np.array([0.01, 0, 0, 0, 0, 0])), 1e-6 * np.eye(6), 0.1)
         for i in range(3):

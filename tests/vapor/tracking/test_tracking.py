@@ -90,6 +90,6 @@ def test_a_history_has_what_methods_at_the_end_need():
     assert [len(modes) for modes in history.evidence] == [MOST_MODES] * 4
     assert history.odometry == [None, ONWARD, ONWARD, ONWARD]
     assert len(history.normalized_distances) == len(history.converged) == len(history.filtered) == 4
-    poses = poses_at_end(history, many.errors, config)
+    poses = poses_at_end(history, many.noise, config)
     assert list(poses) == ["smoothed"]
     assert poses["smoothed"].batch_shape == (4,)

@@ -172,26 +172,26 @@ def _time_filter(
 
     def update() -> None:
         posterior = next(seen)
-        estimate = localizer.update(PosePosterior.from_samples(posterior.samples, posterior.errors), _STEP)
+        estimate = localizer.update(PosePosterior.from_samples(posterior.samples, posterior.noise), _STEP)
         sizes.append(len(estimate.log_weights))
 
     timing = _time(label, update, repetitions)
     return replace(timing, part=f"{label}, {int(np.median(sizes[_WARM_UP:]))} hypotheses")
 
 
-def _alike(count: int, errors: MeasurementNoise, images: int, rng: np.random.Generator) -> Iterator[PosePosterior]:
+def _alike(count: int, noise: MeasurementNoise, images: int, rng: np.random.Generator) -> Iterator[PosePosterior]:
     """Posteriors of a walk through places that all look alike, the first of as many hypotheses as asked for."""
-    std = np.asarray(errors.typical_std)
-    spots = Poses.exp(rng.uniform(-1.0, 1.0, (_PLACES, 6)) * np.repeat([20.0 * errors.radius_m, 2.0], 3))
+    std = np.asarray(noise.typical_std)
+    spots = Poses.exp(rng.uniform(-1.0, 1.0, (_PLACES, 6)) * np.repeat([20.0 * noise.radius_m, 2.0], 3))
     walked = Poses.identity()
     for image in range(images):
         number = _SAMPLES if image else count
         draws = Poses.exp(std * rng.standard_normal((number, 6)))
         samples = spots[rng.integers(0, _PLACES, number)] @ walked @ draws
         if image:
-            yield PosePosterior.from_samples(samples, errors)
+            yield PosePosterior.from_samples(samples, noise)
         else:
-            yield PosePosterior.from_estimates(samples, std[0], std[3], errors)
+            yield PosePosterior.from_estimates(samples, std[0], std[3], noise)
         walked = walked @ _STEP.previous_from_current
 
 

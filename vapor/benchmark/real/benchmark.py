@@ -84,7 +84,7 @@ def _of_draw(row: Row, seed: int, context: RowContext) -> list[dict[str, Any]]:
 
     def compute() -> list[dict[str, Any]]:
         draw = row.draw(context, seed)
-        followed = follow(draw.segment, draw.errors, draw.localizer, rng=np.random.default_rng(seed))
+        followed = follow(draw.segment, draw.noise, draw.localizer, rng=np.random.default_rng(seed))
         poses = all_poses(followed)
         results = []
         for what, images in draw.evaluated.items():

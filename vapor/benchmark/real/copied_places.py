@@ -80,7 +80,7 @@ class CopiedPlaces(Row):
         """A walk that begins anywhere and goes on to the part that is there once, and beyond."""
         checkpoint = load_checkpoint(self._trained(context))
         recording = load_recording(self._recording(context, checkpoint), context.folder("recordings"))
-        errors = checkpoint.calibration.errors
+        noise = checkpoint.calibration.errors
         truth = recording.path.world_from_camera
         rng = np.random.default_rng([seed, 2])
         images, first = self._walk(self._unique(truth, self.own), rng)
@@ -90,11 +90,11 @@ class CopiedPlaces(Row):
         after = since >= round(_AFTER_S * 1e9)
 
         def posterior(image: int) -> PosePosterior:
-            return recording.observed(int(images[image])).posterior(checkpoint, errors)
+            return recording.observed(int(images[image])).posterior(checkpoint, noise)
 
         evaluated = {"before": since < 0, f"{_AFTER_S:g} s after": after & (np.cumsum(after) == 1), "after": after}
         segment = Segment(times_ns, (None, *motions[1:]), truth[images], posterior)
-        draw = Draw(segment, errors, context.config.localizer, evaluated, in_sequences=False)
+        draw = Draw(segment, noise, context.config.localizer, evaluated, in_sequences=False)
         return draw.with_model(checkpoint)
 
     def _walk(self, unique: Bool[np.ndarray, " n"], rng: np.random.Generator) -> tuple[np.ndarray, int]:

@@ -22,7 +22,7 @@ from vapor.calibration.error_correlation import Travel
 from vapor.calibration.image_errors import fit_errors
 from vapor.calibration.places import Observations
 from vapor.checkpoints.scene_scale import default_errors
-from vapor.pipeline.fuse import EstimateConfig, EstimateModel, errors_of, over_sequences
+from vapor.pipeline.fuse import EstimateConfig, EstimateModel, noise_of, over_sequences
 from vapor.tracking.follow import Segment
 
 
@@ -68,10 +68,10 @@ class StoredPosteriors(Row):
         way = Travel.along(truth[unseen], np.cumsum(np.diff(unseen, prepend=unseen[:1]) > 1))
         scene = truth[trained_on]  # the places that the network knows
         seen = Observations([samples[i] for i in unseen], truth[unseen])
-        errors = fit_errors(seen, way, scene, default_errors(scene)).errors
-        segment = Segment(times_ns, odometry, truth, lambda image: PosePosterior.from_samples(samples[image], errors))
+        noise = fit_errors(seen, way, scene, default_errors(scene)).noise
+        segment = Segment(times_ns, odometry, truth, lambda image: PosePosterior.from_samples(samples[image], noise))
         localizer = replace(context.config.localizer, odometry_bias=fit.odometry_bias)
-        return Draw(segment.restated(fit), errors, localizer, {"": ~first})
+        return Draw(segment.restated(fit), noise, localizer, {"": ~first})
 
 
 def poses_of(rows: Float64[np.ndarray, "n 7"]) -> Poses:
@@ -112,21 +112,21 @@ class PoseEstimates(Row):
 
     def draw(self, context: RowContext, seed: int) -> Draw:
         """The estimates with odometry simulated from the true poses, all lengths in the unit."""
-        usual, noise = EstimateConfig(), OdometryNoise()
+        usual, odometry_noise = EstimateConfig(), OdometryNoise()
         trust = replace(usual, std_m=tuple(std_m * self.unit_m for std_m in usual.std_m))
-        noise = replace(
-            noise,
-            translation_bias_m_per_s=noise.translation_bias_m_per_s * self.unit_m,
-            translation_white_m_per_sqrt_s=noise.translation_white_m_per_sqrt_s * self.unit_m,
+        odometry_noise = replace(
+            odometry_noise,
+            translation_bias_m_per_s=odometry_noise.translation_bias_m_per_s * self.unit_m,
+            translation_white_m_per_sqrt_s=odometry_noise.translation_white_m_per_sqrt_s * self.unit_m,
         )
         sequence = EstimateSequence(
             [context.data / file for file in self.files],
             simulate_odometry_from=context.data / self.truth,
-            options=EstimateOptions(direction="world-to-camera", noise=noise, unit_m=self.unit_m),
+            options=EstimateOptions(direction="world-to-camera", noise=odometry_noise, unit_m=self.unit_m),
             seed=seed,
         )
-        errors = errors_of(sequence, trust)
-        model = EstimateModel(len(self.files), trust, errors)
+        noise = noise_of(sequence, trust)
+        model = EstimateModel(len(self.files), trust, noise)
         frames = list(sequence)
         truth = [frame.world_from_camera for frame in frames if frame.world_from_camera is not None]
         if len(truth) < len(frames):
@@ -141,7 +141,7 @@ class PoseEstimates(Row):
                 Poses.stack(truth),
                 lambda image: model.observe(frames[image].estimates, rng=rng),
             ),
-            errors,
+            noise,
             over_sequences(context.config.localizer),
             {"": np.ones(len(frames), bool)},
             self.unit_m,

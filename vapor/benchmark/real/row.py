@@ -65,7 +65,7 @@ class Draw:
 
     Attributes:
         segment: n images.
-        errors: How they err.
+        noise: How they err.
         localizer: Settings of the filter.
         evaluated: Which images are evaluated, (n,), by a name for them; the empty name is the row itself.
         unit_m: Lengths are evaluated in units of so many metres.
@@ -73,7 +73,7 @@ class Draw:
     """
 
     segment: Segment
-    errors: MeasurementNoise
+    noise: MeasurementNoise
     localizer: LocalizerConfig
     evaluated: Mapping[str, Bool[np.ndarray, " n"]]
     unit_m: float = 1.0

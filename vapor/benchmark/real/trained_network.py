@@ -81,14 +81,14 @@ class TrainedNetwork(Row):
         """The posteriors of the network, and the odometry of the converted file."""
         checkpoint = load_checkpoint(self._trained(context))
         recording = load_recording(self._recording(context, seed, checkpoint), context.folder("recordings"))
-        errors, truth = checkpoint.calibration.errors, recording.path.world_from_camera
+        noise, truth = checkpoint.calibration.errors, recording.path.world_from_camera
 
         def posterior(image: int) -> PosePosterior:
-            return recording.observed(image).posterior(checkpoint, errors)
+            return recording.observed(image).posterior(checkpoint, noise)
 
         segment = Segment(recording.times_ns, recording.motions, truth, posterior)
         evaluated = {what: of(len(truth)) for what, of in self.evaluated.items()}
-        return Draw(segment, errors, context.config.localizer, evaluated).with_model(checkpoint)
+        return Draw(segment, noise, context.config.localizer, evaluated).with_model(checkpoint)
 
     @cached_property
     def _training_settings(self) -> dict[str, Any]:

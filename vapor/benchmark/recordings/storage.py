@@ -157,9 +157,9 @@ class Observed(NamedTuple):
     ood_score: float
     verified: Sequence[VerifiedPose] = ()
 
-    def posterior(self, checkpoint: Checkpoint, errors: MeasurementNoise) -> PosePosterior:
+    def posterior(self, checkpoint: Checkpoint, noise: MeasurementNoise) -> PosePosterior:
         """The posterior of the image, by the model and its measurement noise."""
-        coarse = posterior_of(self.samples, errors, self.ood_score)
+        coarse = posterior_of(self.samples, noise, self.ood_score)
         landmarks = checkpoint.landmarks
         if landmarks is None:
             return coarse

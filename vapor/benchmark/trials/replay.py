@@ -105,7 +105,7 @@ def follow_replay(replay: Replay, setup: Setup, *, seed: Sequence[int], kidnap_i
     checkpoint = setup.checkpoint()
     calibration = checkpoint.calibration
     ablation = ABLATIONS[setup.ablation]
-    errors, fit = ablation.errors(calibration.errors), calibration.odometry
+    noise, fit = ablation.noise(calibration.errors), calibration.odometry
     config = ablation.localizer(setup.config.localizer)
     if fit is not None:
         config = replace(config, odometry_bias=fit.odometry_bias)
@@ -113,11 +113,9 @@ def follow_replay(replay: Replay, setup: Setup, *, seed: Sequence[int], kidnap_i
         replay.times_ns,
         replay.odometry,
         replay.truth,
-        lambda image: replay.observed(image).posterior(checkpoint, errors),
+        lambda image: replay.observed(image).posterior(checkpoint, noise),
     ).restated(fit)
-    return follow(
-        segment, errors, config, rng=np.random.default_rng(seed), ablation=ablation, kidnap_index=kidnap_index
-    )
+    return follow(segment, noise, config, rng=np.random.default_rng(seed), ablation=ablation, kidnap_index=kidnap_index)
 
 
 def trial_settings(trial: Trial, setup: Setup) -> dict[str, Any]:
