@@ -80,7 +80,7 @@ class KalmanLocalizer:
             VaporTrackError: the odometry is invalid (`require_odometry`), the elapsed time is negative, or the
                 posterior has no place at a first step. The localizer is then as it was before.
         """
-        return self.advance(Observation.of_image(posterior, odom, elapsed_s))
+        return self.advance(Observation.of_posterior(posterior, odom, elapsed_s))
 
     def advance(self, observation: Observation) -> Mode:
         """Follow one image of the one camera that is localized; `update` with its arguments in one.

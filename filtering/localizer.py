@@ -100,7 +100,7 @@ class ParticleLocalizer:
                 of one camera, or no posterior has any place at a first step. The localizer is then as it was before.
         """
         if isinstance(seen, PosePosterior):
-            return self.advance(Observation.of_image(seen, odom, elapsed_s))
+            return self.advance(Observation.of_posterior(seen, odom, elapsed_s))
         return self.advance(Observation(tuple(seen), odom, elapsed_s))
 
     def advance(self, observation: Observation) -> Estimate:
@@ -153,7 +153,7 @@ class ParticleLocalizer:
         """
         pose = Poses.stack([world_from_camera])
         stated = PosePosterior(pose, np.asarray(covariance, np.float64)[None], np.ones(1), noise, pose)
-        begun = initialize(self.belief.forgotten(), Observation.of_image(stated, None).views, self.config)
+        begun = initialize(self.belief.forgotten(), Observation.of_posterior(stated, None).views, self.config)
         hypotheses = hypotheses_of(begun)
         # The error of the stated pose is not correlated with those of the images.
         apart = replace(hypotheses, covariance=without_correlation(hypotheses.covariance, 0))

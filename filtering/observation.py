@@ -1,4 +1,4 @@
-"""The input of one step of the filter: everything that the sensors observed at one moment."""
+"""The input of one step of the filter: the pose posteriors of images, and the odometry, of one moment."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 
-_ONLY = "camera"
+_ONLY_CAMERA = "camera"
 
 
 @dataclass(frozen=True)
 class View:
-    """One image of one camera.
+    """The pose posterior of one image of one camera.
 
     Attributes:
-        posterior: Of its image.
+        posterior: Of the camera's pose.
         reference_from_camera: Its extrinsics: from the camera to the frame that is localized, one pose.
         camera: Its name; errors are correlated among the images of one camera only.
     """
@@ -55,9 +55,9 @@ class Observation:
             raise VaporTrackError(f"{self.elapsed_s} s since the previous step, expected a finite time of 0 s or more")
 
     @staticmethod
-    def of_image(posterior: PosePosterior, odometry: Odometry | None, elapsed_s: float = 1.0) -> Observation:
-        """An image of the camera that is localized."""
-        return Observation((View(posterior, Poses.identity(), _ONLY),), odometry, elapsed_s)
+    def of_posterior(posterior: PosePosterior, odometry: Odometry | None, elapsed_s: float = 1.0) -> Observation:
+        """One posterior, of the camera that is localized."""
+        return Observation((View(posterior, Poses.identity(), _ONLY_CAMERA),), odometry, elapsed_s)
 
     @property
     def posterior(self) -> PosePosterior:

@@ -1,4 +1,4 @@
-"""One step of the particle filter: predict, initialize or measure, add births, reduce, describe.
+"""One step of the particle filter: predict, initialize where there is no belief, measure, add births, reduce, describe.
 
 Each stage takes a belief and gives the next one; nothing is changed in place.
 """
@@ -36,48 +36,53 @@ def step(belief: Belief, observation: Observation, config: LocalizerConfig) -> t
     """The belief one step later, and its estimate.
 
     Raises:
-        VaporTrackError: the odometry is invalid (`require_odometry`), or no view has any place at a first step.
+        VaporTrackError: the odometry is invalid (`require_odometry`), which a first step does not use, or no view has
+            any place at a first step.
     """
     views = observation.views
     belief = predict(belief, observation.odometry, observation.elapsed_s, config)
-    informative, novelty = [view for view in views if not view.posterior.is_uninformative], 0.0
+    informative = [view for view in views if not view.posterior.is_uninformative]
+    novelty = 0.0
     if needs_initialization(belief, views):
-        belief = initialize(belief, views, config)
+        belief = initialize(belief, views, config)  # from the first of these views, all of which is new
         informative, novelty = informative[1:], 1.0
     belief = with_cameras(belief, informative, config)
     used: list[UsedView] = []
     for view in informative:
-        belief, one = measure(belief, view)
-        used.append(one)
-    novelty = max([novelty, *(one.novelty for one in used)])
+        belief, used_view = measure(belief, view)
+        used.append(used_view)
+    novelty = max([novelty, *(each.novelty for each in used)])
     belief = add_births(belief, used, novelty, config)
     if informative or novelty > 0.0:
         belief = reduce(belief, config)
     belief = follow_agreement(belief, used, views, config)
     belief, estimate = describe(belief, views, novelty, config)
-    return unchecked_replace(belief, normalized_distance=0.0) if views else belief, estimate
+    if views:
+        belief = unchecked_replace(belief, normalized_distance=0.0)
+    return belief, estimate
 
 
 def predict(belief: Belief, odometry: Odometry | None, elapsed_s: float, config: LocalizerConfig) -> Belief:
     """Move the belief by odometry, or across a gap of `elapsed_s` seconds without any."""
-    hypotheses, gap, provisional, agreement = belief.hypotheses, config.gap, belief.provisional, belief.agreement
+    hypotheses, provisional, agreement = belief.hypotheses, belief.provisional, belief.agreement
     if hypotheses is None:
         return belief
-    bias = config.odometry_bias
+    gap, bias = config.gap, config.odometry_bias
     if odometry is None:
-        likely = gap.speed_m_per_s * elapsed_s, gap.turn_rad_per_s * elapsed_s
-        after = {name: camera.across_gap(*likely) for name, camera in belief.cameras.items()}
-        if gap.action == "forget":
+        likely_m, likely_rad = gap.speed_m_per_s * elapsed_s, gap.turn_rad_per_s * elapsed_s
+        moved = {name: camera.across_gap(likely_m, likely_rad) for name, camera in belief.cameras.items()}
+        if gap.action == "forget":  # the next informative image replaces the belief
             provisional, agreement = True, 0.0
+        # `inflate` adds what is unknown of the motion.
         odometry, bias = Odometry(Poses.identity(), np.zeros((6, 6)), elapsed_s), bias.without_drift
         hypotheses = inflate(hypotheses, gap.covariance(elapsed_s))
     else:
         require_odometry(odometry)
-        after = {name: camera.predict(odometry) for name, camera in belief.cameras.items()}
-    cameras = {name: camera for name, (camera, _) in after.items()}
+        moved = {name: camera.predict(odometry) for name, camera in belief.cameras.items()}
+    cameras = {name: camera for name, (camera, _) in moved.items()}
     numbered = {
         source.number: distance
-        for camera, distances in after.values()
+        for camera, distances in moved.values()
         for source, distance in zip(camera.sources, distances, strict=True)
     }
     distances = [numbered[number] for number in sorted(numbered)]
@@ -95,7 +100,7 @@ def predict(belief: Belief, odometry: Odometry | None, elapsed_s: float, config:
 
 @dataclass(frozen=True)
 class UsedView:
-    """A view as it was used.
+    """A view after its measurement.
 
     Attributes:
         posterior: Of its image, for the reference frame, with the measurement noise scaled.
@@ -113,23 +118,23 @@ class UsedView:
 def measure(belief: Belief, view: View) -> tuple[Belief, UsedView]:
     """Weight every hypothesis by an image, and correct it by each place that it may see.
 
-    The weight follows from nearness alone (`evidence`); the densities of places only split a hypothesis (`correct`).
-    Otherwise a wrong place with tight samples would outweigh the right one with loose samples. The scale of the noise
-    includes this image.
+    `evidence` decides which place, and `correct` where in it: the densities of places only split a hypothesis.
+    Otherwise a wrong place with tight samples would outweigh the right one with loose samples.
     """
-    before = belief.cameras[view.camera].seen_through(view.reference_from_camera)
-    camera, novelty, power = before.observe(view.posterior)
-    posterior = view.posterior.inflated(*(source.scale.factor for source in camera.sources))
+    memory_before = belief.cameras[view.camera].seen_through(view.reference_from_camera)
+    memory, novelty, likelihood_power = memory_before.observe(view.posterior)
+    # The scale of the noise includes this image.
+    posterior = view.posterior.inflated(*(source.scale.factor for source in memory.sources))
     posterior = posterior.seen_from(view.reference_from_camera)
     hypotheses = hypotheses_of(belief)
-    pairs = gate(
-        hypotheses, posterior, [Correlation(each.number, each.tracker.normalized_distance) for each in before.sources]
-    )
+    sources = memory_before.sources
+    correlations = [Correlation(source.number, source.tracker.normalized_distance) for source in sources]
+    pairs = gate(hypotheses, posterior, correlations)
     found = evidence(hypotheses, posterior, pairs)
-    hypotheses = hypotheses.reweighted(power * found.log_likelihood)
+    hypotheses = hypotheses.reweighted(likelihood_power * found.log_likelihood)
     hypotheses = correct(hypotheses, posterior, pairs, found.outlier).normalized()
-    belief = unchecked_replace(belief.with_camera(view.camera, camera), hypotheses=hypotheses)
-    return belief, UsedView(posterior, camera, novelty, found.agreement)
+    belief = unchecked_replace(belief.with_camera(view.camera, memory), hypotheses=hypotheses)
+    return belief, UsedView(posterior, memory, novelty, found.agreement)
 
 
 def add_births(belief: Belief, used: Sequence[UsedView], novelty: float, config: LocalizerConfig) -> Belief:

@@ -58,7 +58,7 @@ def simulated_steps(count=200, *, seed=0, with_truth=True, start_ns=1_700_000_00
         agreement, ood_score = 1.0 - 0.5 * belief, 0.1 * rng.random()
         estimate = Estimate(modes, status, particles, covariances, log_weights, agreement, 0.1, 0.1, ood_score)
         places = (Mode(single, covariance, 1.0),)
-        observation = Observation.of_image(PosePosterior.uninformative(), odometry)
+        observation = Observation.of_posterior(PosePosterior.uninformative(), odometry)
         yield frame, Step(observation, estimate, places, (), {}, 20.0 + rng.random())
 
 

@@ -113,7 +113,7 @@ def localize(
                 if odometry is not None and odometry_fit is not None:
                     odometry = odometry_fit.restated(odometry)
                 posterior = localizer.observe(observed(frame))
-            observation = Observation.of_image(posterior, odometry, elapsed_s(before_ns, frame.time_ns))
+            observation = Observation.of_posterior(posterior, odometry, elapsed_s(before_ns, frame.time_ns))
             yield frame, observation, 1e3 * (time.perf_counter() - begin)
             before_ns = frame.time_ns
 

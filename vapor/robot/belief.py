@@ -131,7 +131,7 @@ class LiveBelief:
             elapsed_s = max(job.began_s - self.anchor.began_s, 0.0)
         else:
             elapsed_s = max(job.frame.time_ns - self.anchor.time_ns, 0) * 1e-9
-        estimate = self.localizer.advance(Observation.of_image(posterior, odometry, elapsed_s))
+        estimate = self.localizer.advance(Observation.of_posterior(posterior, odometry, elapsed_s))
         map_from_odom = self._map_from_odom(estimate, job.odom_from_base)
         self.anchor = Anchor(job.frame.time_ns, job.reading, estimate, map_from_odom, job.frame, job.began_s)
         return self.anchor

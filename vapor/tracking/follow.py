@@ -143,7 +143,7 @@ def follow(
         zip([None, *times_ns[:-1]], times_ns, segment.odometry, strict=True)
     ):
         begin = time.perf_counter()
-        observation = Observation.of_image(segment.posterior(i), odometry, elapsed_s(before_ns, time_ns))
+        observation = Observation.of_posterior(segment.posterior(i), odometry, elapsed_s(before_ns, time_ns))
         step = loop.step(observation, observe_ms=1e3 * (time.perf_counter() - begin))
         history.add(step)
         estimates.append(step.estimate)

@@ -53,7 +53,7 @@ def test_all_methods_are_given_the_same_and_told_how_long_it_was():
     loop = loop_of(one=one, other=other)
     posteriors = [seen_at(Poses.exp(np.array([0.1 * i, 0, 0, 0, 0, 0]))) for i in range(3)]
     observations = [
-        Observation.of_image(posterior, odometry, elapsed_s(*stamps))
+        Observation.of_posterior(posterior, odometry, elapsed_s(*stamps))
         for stamps, posterior, odometry in zip(
             ((None, 5 * S), (5 * S, 6 * S), (6 * S, 4 * S)), posteriors, (None, ONWARD, None), strict=True
         )
@@ -70,13 +70,13 @@ def test_all_methods_are_given_the_same_and_told_how_long_it_was():
 def test_where_an_image_is_uninformative_its_places_are_those_of_the_last_one_that_did():
     loop = loop_of()
     alike = seen_at(lifted(Poses.identity(), [0.0, 3.0]), [0.6, 0.4])
-    seen = loop.step(Observation.of_image(alike, None), observe_ms=0.0)
+    seen = loop.step(Observation.of_posterior(alike, None), observe_ms=0.0)
     assert [mode.weight for mode in seen.image_modes] == [0.6, 0.4]
     assert seen.evidence == seen.image_modes
-    empty = loop.step(Observation.of_image(PosePosterior.uninformative(), ONWARD), observe_ms=0.0)
+    empty = loop.step(Observation.of_posterior(PosePosterior.uninformative(), ONWARD), observe_ms=0.0)
     assert (empty.image_modes, empty.evidence) == (seen.image_modes, ())
     outside = seen_at(Poses.identity(), ood_score=3.0)
-    unlike = loop.step(Observation.of_image(outside, ONWARD), observe_ms=0.0)
+    unlike = loop.step(Observation.of_posterior(outside, ONWARD), observe_ms=0.0)
     assert len(unlike.image_modes) == 1
     assert unlike.evidence == ()
 
@@ -86,7 +86,7 @@ def test_a_history_has_what_methods_at_the_end_need():
     loop, history, config = loop_of(), History(), LocalizerConfig()
     many = seen_at(lifted(Poses.identity(), np.arange(20.0)), np.full(20, 0.05))
     for i in range(4):
-        history.add(loop.step(Observation.of_image(many, ONWARD if i else None), observe_ms=0.0))
+        history.add(loop.step(Observation.of_posterior(many, ONWARD if i else None), observe_ms=0.0))
     assert [len(modes) for modes in history.evidence] == [MOST_MODES] * 4
     assert history.odometry == [None, ONWARD, ONWARD, ONWARD]
     assert len(history.normalized_distances) == len(history.converged) == len(history.filtered) == 4
