@@ -90,7 +90,7 @@ class KalmanLocalizer:
         """
         views, odom, elapsed_s = observation.views, observation.odometry, observation.elapsed_s
         if len(views) != 1 or not views[0].reference_from_camera.is_identity:
-            raise VaporTrackError(f"views of {len(views)} cameras, expected one of the camera that is localized")
+            raise VaporTrackError(f"{len(views)} views, expected one, without extrinsics: this baseline has one camera")
         posterior = views[0].posterior
         if odom is not None:
             require_odometry(odom)

@@ -204,8 +204,12 @@ def results_folder(
             write_manifest(new, command, {file.name: Listed.of(file) for file in sorted(new.iterdir())})
             if not is_new:
                 _replace_files(work, writes if overwrite else (), reads)
-            else:
+            elif not directory.exists():
                 os.rename(new, directory)
+            else:  # it was made meanwhile
+                work = stack.enter_context(workspace(directory, directory.name))
+                os.rename(new, work / NEW)
+                _replace_files(work, writes if overwrite else (), reads)
 
 
 def require_replaceable(

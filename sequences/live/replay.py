@@ -153,7 +153,7 @@ def _merged(latched: list[bytes]) -> bytes:
 def _as_published(raw: RawMessage, shift_ns: int) -> bytes:
     """The bytes of a message, with later stamps in its header or transforms. Raises SequenceError for damaged bytes."""
     if len(raw.data) <= _CDR_HEADER or not raw.data[1] & 1:
-        raise SequenceError(f"{len(raw.data)} bytes, expected a header of little-endian order and more")
+        raise SequenceError(f"{len(raw.data)} bytes, expected little-endian CDR")
     if not shift_ns:
         return raw.data
     if raw.type == _TFS:

@@ -148,9 +148,18 @@ class Extrinsics:
                 )
 
 
-def find_extrinsics(bag: MessageSource, body: str, camera: str) -> Extrinsics:
+def find_extrinsics(
+    bag: MessageSource,
+    body: str,
+    camera: str,
+    *,
+    body_is: str = "",
+    camera_is: str = "",
+    instead: str = "--base-from-camera",
+) -> Extrinsics:
     """The camera's mount on a body by tf; the identity where both are one frame.
 
+    For the error, `body_is` and `camera_is` state the sources of the names, and `instead` an option that would help.
     Raises NotFoundError where no transforms lead from one to the other.
     """
     if body and body == camera:
@@ -161,9 +170,9 @@ def find_extrinsics(bag: MessageSource, body: str, camera: str) -> Extrinsics:
     if path is None:
         unusable = f"; unusable: {tree.problem}" if tree.problem else ""
         raise NotFoundError(
-            f"{bag.path}: no transform from {body!r} to {camera!r} on {TF_STATIC} or {TF}, found frames:"
-            f" {', '.join(tree.frames) or 'none'}{unusable}; expected a chain of transforms between the two (or name"
-            " --camera-frame or --ground-truth-child-frame, or give --base-from-camera)"
+            f"{bag.path}: no transform from {body!r}{body_is} to {camera!r}{camera_is}"
+            f" on {TF_STATIC} or {TF}, found frames: {', '.join(tree.frames) or 'none'}{unusable}; expected a chain of"
+            f" transforms between the two (or name --camera-frame, or give {instead})"
         )
     return Extrinsics(along(path), tuple(path))
 
@@ -182,15 +191,16 @@ class CameraMount:
     odometry_topic: str = ""
     odometry_frame: str = ""
 
-    def on(self, bag: MessageSource, body: str) -> Extrinsics:
+    def on(self, bag: MessageSource, body: str, body_is: str = "") -> Extrinsics:
         """The camera's mount on a body. Raises SequenceError where neither tf nor the option gives it."""
         if not body or body == self.camera:
             return Extrinsics(Poses.identity())
+        child = "--ground-truth-child-frame"
         if self.base_from_camera is None:
-            return find_extrinsics(bag, body, self.camera)
+            return find_extrinsics(bag, body, self.camera, body_is=body_is, instead=f"{child} or --base-from-camera")
         if self.base in ("", body):
             return Extrinsics(self.base_from_camera)
-        carrier = find_extrinsics(bag, body, self.base)
+        carrier = find_extrinsics(bag, body, self.base, body_is=body_is, instead=child)
         return replace(carrier, body_from_camera=carrier.body_from_camera @ self.base_from_camera)
 
     def path(self, tree: TransformTree, frame: str) -> list[Step] | None:

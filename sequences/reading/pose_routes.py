@@ -108,7 +108,7 @@ def _route_of_topic(bag: MessageSource, options: SequenceOptions, mount: CameraM
     child = frame_name(options.ground_truth_child_frame or "")
     if not child and topic.num_messages:
         child = frames_of_topic(bag, topic)[1]
-    extrinsics = mount.on(bag, child)
+    extrinsics = mount.on(bag, child, f" ({topic.name})")
     notices = []
     if not child and topic.read_as != _CAMERA_POSES:
         notices.append(
@@ -151,7 +151,7 @@ def _route_of_file(
     file = Path(options.poses or "")
     rows = Rows("poses")
     trajectory = read_pose_table(file, rows, options.poses_columns)
-    extrinsics = mount.on(bag, frame_name(options.ground_truth_child_frame or ""))
+    extrinsics = mount.on(bag, frame_name(options.ground_truth_child_frame or ""), " (--ground-truth-child-frame)")
     offset_s, notices = options.time_offset_s, rows.notices
     if offset_s == "auto":
         from sequences.trajectories.time_offset import offset_of_clocks  # loads SciPy's signals, which takes a while

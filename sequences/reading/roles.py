@@ -118,7 +118,9 @@ class Roles:
         if mount.base_from_camera is not None:
             self.extrinsics = Extrinsics(mount.base_from_camera)
         else:
-            self.extrinsics = find_extrinsics(bag, base, mount.camera)
+            self.extrinsics = find_extrinsics(
+                bag, base, mount.camera, body_is=f" ({topic.name}, child frame)", camera_is=f" ({self.image.name})"
+            )
         return mount
 
     def _take_tree(self, mount: CameraMount) -> CameraMount:

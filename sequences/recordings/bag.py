@@ -74,7 +74,7 @@ class Bag:
         return any(topic in stands_for(known, self._tf) for known in self.topics.values())
 
     def account_for(self, topic: str) -> list[str]:
-        """Compare the number of messages of a topic with that of metadata.yaml.
+        """Compare the number of messages of a topic, or of all where it is not listed, with that of metadata.yaml.
 
         Returns notices of files whose lost messages go unnoticed, as nothing states their number, or that are not read.
         Raises SequenceError where there are more or fewer.
@@ -87,14 +87,19 @@ class Bag:
         listing = self._listing
         if listing is None:
             return uncounted
-        stated, found = listing.of_topics.get(topic), self.topics[topic].num_messages
+        if topic in listing.of_topics:
+            what, stated, found = quoted(topic), listing.of_topics[topic], self.topics[topic].num_messages
+        else:
+            what, stated = "all topics", listing.num_messages
+            found = sum(file.counts.total() for file in self._files)
         if stated is None:
             lost = "metadata.yaml states no number of messages: images in lost files go unnoticed"
             return [lost, *uncounted, *listing.notices]
         if stated != found:
+            beside = f"; beside them lies {listing.unlisted_names}" if listing.unlisted else ""
             raise SequenceError(
-                f"{listing.path}: {quoted(topic)}: the files that it lists have {found} messages, expected the"
-                f" {stated} that it states (`ros2 bag reindex` writes it again)"
+                f"{listing.path}: {what}: the files that it lists have {found} messages, expected the {stated} that it"
+                f" states{beside} (`ros2 bag reindex` writes it again)"
             )
         return listing.notices
 
@@ -151,58 +156,83 @@ def bag_files(path: Path) -> list[Path]:
 
 @dataclass(frozen=True)
 class _Listing:
-    """The metadata.yaml of a rosbag2 folder: its files, and how many messages topics have, by name, where it states it.
+    """The metadata.yaml of a rosbag2 folder: its files, and how many messages all and single topics have.
 
-    `notices` name the files beside it that it does not list.
+    Attributes:
+        unlisted: Names of such files beside it that it does not list.
+        num_messages: None where it states none, as after a crash.
+        of_topics: By name; empty where it states none.
     """
 
     path: Path
     files: list[Path]
+    unlisted: list[str]
+    num_messages: int | None
     of_topics: Counter[str]
-    notices: list[str]
+
+    @property
+    def notices(self) -> list[str]:
+        """Sentences for users."""
+        return [f"metadata.yaml does not list {self.unlisted_names}: not read"] if self.unlisted else []
+
+    @property
+    def unlisted_names(self) -> str:
+        """The first three of the unlisted files, and the number of others."""
+        others = f" and {len(self.unlisted) - 3} more" if len(self.unlisted) > 3 else ""
+        return ", ".join(quoted(name) for name in self.unlisted[:3]) + others
 
 
 def _read_listing(folder: Path) -> _Listing:
     """Read the metadata.yaml of a rosbag2 folder.
 
     Its counts of single files are ignored: recorders count messages there that their cache then drops, and `ros2 bag
-    convert` counted messages twice. Raises SequenceError where it is missing or no YAML, a number in it is none, or it
-    lists no file, a missing one, or one of unknown format or outside the folder.
+    convert` counted messages twice.
+
+    Raises:
+        SequenceError: it is missing or no YAML, a number in it is none, or it lists no file, a missing one, one of
+            unknown format or outside the folder, or one in `files` alone.
     """
     if not folder.is_dir():
         raise SequenceError(
             f"{folder}: no such file or folder, expected an .mcap file, a rosbag2 folder or a ROS 1 bag"
         )
-    path, present = folder / "metadata.yaml", _bag_files(folder)
+    path = folder / "metadata.yaml"
     if not path.is_file():
-        helps = ", or its files one by one (`ros2 bag reindex` writes one)" if present else ""
+        helps = ", or its files one by one (`ros2 bag reindex` writes one)" if _bag_files(folder) else ""
         raise SequenceError(f"{folder}: folder has no metadata.yaml, expected an .mcap file or a rosbag2 folder{helps}")
     content = read_yaml(path)
     content = content.get("rosbag2_bagfile_information", content)
     names = list(dict.fromkeys(str(name) for name in _list(content, "relative_file_paths", path)))
     if not names:
         raise SequenceError(f"{path}: names no files, expected `relative_file_paths:` with one or more files")
-    beside = {file.name for file in present}
+    beside = {file.name for file in _bag_files(folder)}
     names = [name.removesuffix(_PACKED) if name.removesuffix(_PACKED) in beside else name for name in names]
     for name in names:
+        if name.endswith(_PACKED):
+            raise SequenceError(f"{path}: names {quoted(name)}, a file packed as a whole; unpack it first: `zstd -d`")
         if not name.endswith(_SUFFIXES):
-            unpack = "; unpack it first: `zstd -d`" if name.endswith(_PACKED) else ""
-            raise SequenceError(f"{path}: names {quoted(name)}, expected .mcap or .db3 files{unpack}")
+            raise SequenceError(f"{path}: names {quoted(name)}, expected .mcap or .db3 files")
+    listed = {Path(name).name for name in names}
+    for item in _list(content, "files", path):
+        name = Path(str(item.get("path", ""))).name if isinstance(item, dict) else ""
+        name = name.removesuffix(_PACKED) if name.removesuffix(_PACKED) in listed else name
+        if name.endswith(_SUFFIXES) and name not in listed:
+            raise SequenceError(
+                f"{path}: `files` has {quoted(name)} and `relative_file_paths` has not, expected it in both"
+            )
     files = [folder / name for name in names]
     require_inside(folder, files)
     for file, name in zip(files, names, strict=True):
         if not file.is_file():
             raise SequenceError(f"{path}: names {quoted(name)}, which is not in the folder")
     read = {file.resolve() for file in files}
-    unlisted = [quoted(file.name) for file in present if file.resolve() not in read]
-    notices = [f"metadata.yaml does not list {', '.join(unlisted)}: not read"] if unlisted else []
+    unlisted = [file.name for file in _bag_files(folder) if file.resolve() not in read]
     of_topics: Counter[str] = Counter()
     for item in _list(content, "topics_with_message_count", path):
         topic = item.get("topic_metadata") if isinstance(item, dict) else None
-        if isinstance(topic, dict) and "name" in topic and "message_count" in item:
-            where = f"{path}: message_count"
-            of_topics[str(topic["name"])] += parse_whole(str(item["message_count"]), where, 0, _MOST_MESSAGES)
-    return _Listing(path, files, of_topics if of_topics.total() else Counter(), notices)
+        if isinstance(topic, dict) and "name" in topic and (count := _count(item, path)) is not None:
+            of_topics[str(topic["name"])] += count
+    return _Listing(path, files, unlisted, _count(content, path) or None, of_topics if of_topics.total() else Counter())
 
 
 def _bag_files(folder: Path) -> list[Path]:
@@ -214,3 +244,8 @@ def _list(content: Any, name: str, path: Path) -> list[Any]:
     if not isinstance(value, list | None):
         raise SequenceError(f"{path}: `{name}` is {quoted(value)}, expected a list")
     return value or []
+
+
+def _count(content: Any, path: Path) -> int | None:
+    value = content.get("message_count") if isinstance(content, dict) else None
+    return None if value is None else parse_whole(str(value), f"{path}: message_count", 0, _MOST_MESSAGES)

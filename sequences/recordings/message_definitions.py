@@ -75,9 +75,16 @@ def begins_with_stamp(message_type: str, definition: bytes = b"") -> bool:
 def decoder(message_type: str) -> Callable[[bytes], Any]:
     """A function from the CDR bytes of a message to its fields, with numpy arrays for lists of numbers.
 
-    Damaged bytes raise exceptions of the library.
+    Bytes behind the message are ignored. Damaged bytes raise exceptions.
     """
-    return partial(message_types().deserialize_cdr, typename=schema_name(message_type))
+    return partial(_decode, message_types().get_msgdef(schema_name(message_type)))
+
+
+def _decode(definition: Any, data: bytes) -> Any:
+    if len(data) < 4 or data[0] != 0 or data[1] > 1:
+        raise ValueError(f"{len(data)} bytes, expected a header of CDR")
+    function = definition.deserialize_cdr_le if data[1] else definition.deserialize_cdr_be
+    return function(data[4:], 0, definition.cls, message_types())[0]
 
 
 @cache

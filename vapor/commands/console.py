@@ -9,6 +9,7 @@ import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from contextlib import redirect_stderr, redirect_stdout
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, NoReturn, TypeVar
 
@@ -58,9 +59,9 @@ def command_line(command: str, arguments: Sequence[str], program: str = "vapor-t
 
 def parse(command: str, options: type[Options], arguments: Sequence[str], program: str = "vapor-track") -> Options:
     """Options from the words of the command line; wrong ones print a line and exit with status 2."""
-    for word in arguments:
-        if re.match(r"(s3|gs|gcs|abfss?|az|hdfs|https?|s?ftp|file|memory)://", word):
-            usage_error(command, f"{word}: expected a path; copy or mount it first", program)
+    for before, word in pairwise(["", *arguments]):
+        if (url := re.search(r"(?:^|[=,])([a-z][a-z0-9+.-]*://\S*)", word)) and "--view-at" not in (before, word[:9]):
+            usage_error(command, f"{url[1]}: expected a path; copy or mount it first", program)
     errors, helped, columns = io.StringIO(), _Help(), os.environ.get("COLUMNS")
     try:
         is_help = {"-h", "--help"} & set(arguments)

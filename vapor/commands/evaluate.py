@@ -56,6 +56,8 @@ def evaluate_directory(
     if columns is not None and ground_truth is None:
         raise VaporTrackError("--columns without --ground-truth, expected a file that has them")
     require_columns("--columns", columns)
+    if not directory.is_dir():
+        raise VaporTrackError(f"{directory}: no such directory, expected one that `vapor-track run` wrote")
     if not (directory / FILES["filter"]).is_file():
         raise VaporTrackError(
             f"{directory}: no {FILES['filter']} in it, expected a directory that `vapor-track run` wrote"

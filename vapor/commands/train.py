@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from argparse import ArgumentParser
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field, make_dataclass
@@ -49,10 +48,7 @@ def parse_named(
 
     An unknown preset or method exits with status 2; `config` makes the default from their values, given by keyword.
     """
-    early = ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
-    for name in names:
-        early.add_argument(f"--{name}", nargs="?", default=getattr(options, name), const="")
-    chosen = vars(early.parse_known_args(arguments)[0])
+    chosen = {name: _named(arguments, name, getattr(options, name)) for name in names}
     for name, value in chosen.items():
         if value is not None and value not in _KNOWN[name]:
             usage_error(command, f"unknown {name} {value!r}, expected one of {', '.join(_KNOWN[name])}", program)
@@ -61,6 +57,16 @@ def parse_named(
     fields = [(name, hints[name], value) for name, value in defaults.items()]
     named = make_dataclass("Options", fields, bases=(options,), frozen=True, namespace={"__doc__": options.__doc__})
     return parse(command, named, arguments, program=program)
+
+
+def _named(arguments: Sequence[str], name: str, default: str | None) -> str | None:
+    """The last value given for an option."""
+    for word, following in zip(arguments, [*arguments[1:], ""], strict=True):
+        if word == f"--{name}":
+            default = following
+        elif word.startswith(f"--{name}="):
+            default = word.removeprefix(f"--{name}=")
+    return default
 
 
 @dataclass(frozen=True)

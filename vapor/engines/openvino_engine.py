@@ -8,6 +8,7 @@ import importlib.metadata
 import io
 import json
 import os
+import re
 import sys
 import warnings
 from contextlib import suppress
@@ -36,6 +37,8 @@ _BFLOAT16_FLAGS = {"avx512_bf16", "amx_bf16", "bf16"}  # of Intel and AMD, Intel
 
 _FORMAT = "vapor-track compiled network"
 _BLOB = "blob"
+_NOISE = re.compile(r"noise f32 \[\?,[1-9]\d{0,4}]")  # columns: no regressor takes more, which would fill the memory
+_POSES = "translation f32 [?,3], rotation f32 [?,3,3]"
 
 
 class OpenVINOEngine:
@@ -119,6 +122,19 @@ def converted_network(checkpoint: Checkpoint) -> openvino.Model:
         traced = torch.jit.trace(whole, inputs, check_trace=False)
         shapes = [openvino.PartialShape(list(inputs[0].shape)), openvino.PartialShape([-1, inputs[1].shape[1]])]
         return openvino.convert_model(traced, example_input=inputs, input=shapes)
+
+
+def require_ports(compiled: openvino.CompiledModel, model: ModelDescription) -> None:
+    """Raise CheckpointError where an exported network has other inputs or outputs than its description states."""
+    found = ", ".join(
+        f"{port.get_any_name()} {port.element_type.to_string()} {port.partial_shape}"
+        for port in (*compiled.inputs, *compiled.outputs)
+    )
+    size, known = model.network, model.ood_model
+    expected = f"image u8 [{size.image_height},{size.image_width},3], noise f32 [?,d], {_POSES}"
+    expected += f", description f32 [{len(known.centre)}]" if known is not None else ""
+    if _NOISE.sub("noise f32 [?,d]", found) != expected:
+        raise CheckpointError(f"{model.file}: its network has {found or 'no inputs'}; expected {expected}")
 
 
 def last_line(error: Exception) -> str:

@@ -60,10 +60,9 @@ def _asked(config: EngineConfig, device: Device, exported: Path | None) -> str:
     """torch, openvino, or auto where both will do."""
     if exported is not None or config.engine == "openvino":
         if config.engine == "torch" or device == "cuda":
-            raise VaporTrackError(
-                f"{exported or 'engine openvino'} with engine {config.engine} and device {device}, expected engine"
-                " openvino on a processor"
-            )
+            what = "engine openvino" if exported is None else f"{exported}: an exported model"
+            other = "engine torch" if config.engine == "torch" else "device cuda"
+            raise VaporTrackError(f"{what} with {other}, expected engine openvino on a processor")
         return "openvino"
     if config.engine == "torch" or device == "cuda" or (device == "auto" and _has_cuda()):
         return "torch"
@@ -114,14 +113,17 @@ def _openvino(
         torch = _torch(checkpoint, "float32", "cpu")
     try:
         compiled = openvino_engine.compile_network(network, precision, threads)
-        engine = openvino_engine.OpenVINOEngine(compiled)
-    except (RuntimeError, IndexError) as error:  # as on a processor without arithmetic of the precision
+    except RuntimeError as error:  # as on a processor without arithmetic of the precision
         if torch is not None and not must:
             return torch
+        expected = "the exported file as it was written" if exported else "--engine torch"
         raise VaporTrackError(
             f"{described.file or 'engine openvino'}: OpenVINO cannot compile the network in {precision}"
-            f" ({openvino_engine.last_line(error)}), expected --engine torch, or the exported file as it was written"
+            f" ({openvino_engine.last_line(error)}), expected {expected}"
         ) from error
+    if exported:
+        openvino_engine.require_ports(compiled, described)
+    engine = openvino_engine.OpenVINOEngine(compiled)
     faster = None if torch is None else _is_faster(engine, torch, described, threads)
     is_kept = place is not None and place.write(Compiled(compiled.export_model().getvalue(), faster))
     if torch is not None and not must and not (faster and is_kept):

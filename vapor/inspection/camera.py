@@ -19,7 +19,6 @@ from vapor.training_data.ground import near_scale_m
 from vapor.training_data.load import shrunk, usual_camera
 
 _RUN, _MOST_IMAGES = 30, 300  # images in a row, and in all
-_UNKNOWN = "too few points are seen from two sides, and where the true poses put them"
 _SAME_PX = 1.0  # median distance, at the size at which features are found: nearer is as stated
 
 
@@ -105,7 +104,7 @@ class CameraCheck:
     def in_words(self) -> str:
         """The finding, in a sentence without its end."""
         if self.fit is None or self.camera is None:
-            return f"unknown: {_UNKNOWN}"
+            return f"unknown: {self._why}"
         return self.fit.in_words(self.camera.width)
 
     @property
@@ -115,11 +114,17 @@ class CameraCheck:
             return None
         return self.fit.found.camera.scaled(self.camera.width, self.camera.height)
 
+    @property
+    def _why(self) -> str:
+        if self.images < 2:
+            return f"{'one image has' if self.images else 'no image has'} a true pose"
+        return "too few points are seen from two sides, and where the true poses put them"
+
     def as_json(self) -> dict[str, Any]:
         """Figures for the report."""
         fit, found = self.fit, self.found
         if fit is None or self.camera is None:
-            return {"images": self.images, "unknown": _UNKNOWN}
+            return {"images": self.images, "unknown": self._why}
         errors = (None, None) if fit.errors_m is None else fit.errors_m
         maps = {"stated": fit.by_stated, "fits": fit.by_found}
         return {

@@ -62,7 +62,8 @@ class Storey:
 
     def __str__(self) -> str:
         names = ", ".join(self.names[:_NAMED]) + (", ..." if len(self.names) > _NAMED else "")
-        return f"storey {self.number} ({height(self.low_m, self.high_m)}): {self.images} images, of {names}"
+        images = f"{self.images} image{'s' * (self.images != 1)}"
+        return f"storey {self.number} ({height(self.low_m, self.high_m)}): {images}, of {names}"
 
 
 @dataclass(frozen=True)

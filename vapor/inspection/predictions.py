@@ -65,7 +65,8 @@ class WeakPlace:
         passes = "one pass" if self.passes == 1 else f"{self.passes} passes"
         return (
             f"near ({x:.1f}, {y:.1f}, {z:.1f}) m, looking {self.looking}: median error {self.median_m:.2g} m over"
-            f" {self.images} images of {passes}, {self.places} places possible"
+            f" {self.images} image{'s' * (self.images != 1)} of {passes},"
+            f" {self.places} place{'s' * (self.places != 1)} possible"
         )
 
 

@@ -72,7 +72,7 @@ def _useless(walks: Sequence[Walk], coverage: Coverage | None) -> Iterator[str]:
         return
     count, poses = len(coverage.images), coverage.images.poses
     if count < _FEW_IMAGES:
-        yield f"record more: {count} images with true poses, expected some hundreds at least"
+        yield f"record more: {count} image{'s' * (count != 1)} with true poses, expected some hundreds at least"
     moved_m, turned = poses.distance(poses[0])
     if count > 1 and moved_m.max() < _STANDS_M and turned.max() < _STANDS_RAD:
         yield (

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from filtering.errors import require_within
+from filtering.errors import VaporTrackError, require_within
 from vapor.regressors.scene_box import SceneBox
 
 PositionUnit = Literal["metre", "box"]
@@ -42,6 +42,9 @@ class LossConfig:
     """Greatest distance between the images of a pair, images."""
 
     def __post_init__(self) -> None:
+        if self.position_unit not in get_args(PositionUnit):
+            units = ", ".join(get_args(PositionUnit))
+            raise VaporTrackError(f"loss: position_unit is {self.position_unit!r}, expected one of {units}")
         require_within(
             self,
             lambda_translation=(0.0, 1e9),

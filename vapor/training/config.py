@@ -108,9 +108,9 @@ class TrainConfig:
     """Continue an interrupted training of the same output, configuration and data."""
 
     def __post_init__(self) -> None:
-        for name in ("epochs", "larger_from_hours", "decay_epochs"):
+        for name, least in (("epochs", 1), ("larger_from_hours", 1e-9), ("decay_epochs", 1)):
             if getattr(self, name) is not None:
-                require_within(self, **{name: (1e-9, 1e9)})
+                require_within(self, **{name: (least, 10**9)})
         fractions = "ewta_fraction", "small_images_first", "ema_decay", "validation_fraction", "warmup"
         require_within(
             self,
@@ -122,7 +122,7 @@ class TrainConfig:
             initial_log_variance=(-10.0, 5.0),
             weight_decay=(0.0, 1e9),
             seed=(0, 2**63),
-            **dict.fromkeys(fractions, (0.0, 1.0 - 1e-9)),
+            **dict.fromkeys(fractions, (0.0, 0.999)),
         )
         Calibration(self.bandwidth_translation_m, self.bandwidth_rotation_rad)  # refuses widths out of range
         if self.initial_model is not None and self.pretrained_weights is not None:

@@ -25,6 +25,8 @@ from vapor.training_data.training_set import TrainingError
 
 Value = TypeVar("Value")
 
+_LAUNCHED = ("RANK", "WORLD_SIZE", "MASTER_ADDR", "MASTER_PORT")  # variables that torchrun sets
+_JOINING = timedelta(minutes=5)  # of waiting for the others to start
 _PATIENCE = timedelta(hours=12)  # the others wait while the first process calibrates
 
 
@@ -40,20 +42,24 @@ def is_first() -> bool:
 
 @contextmanager
 def joined_processes(device: Device) -> Iterator[None]:
-    """Join the processes that torchrun started, if it did, inside a `with` block; each takes a GPU of its own.
+    """Join the processes that a launcher such as torchrun started, inside a `with` block; each takes a GPU of its own.
 
     Raises:
         TrainingError: the processes cannot be joined, a GPU is missing, or another process ended.
     """
-    if not (dist.is_available() and dist.is_torchelastic_launched()):
+    if os.environ.get("WORLD_SIZE", "1") == "1" or not all(name in os.environ for name in _LAUNCHED):
         yield
         return
     process = f"process {os.environ['RANK']} of {os.environ['WORLD_SIZE']}, counted from 0"
     on_gpu = resolve_device(device).type == "cuda"
+    from torch.distributed.rendezvous import rendezvous  # which a torch without torch.distributed lacks
+
     try:
         if on_gpu:
-            torch.cuda.set_device(int(os.environ["LOCAL_RANK"]))
-        dist.init_process_group("nccl" if on_gpu else "gloo", timeout=_PATIENCE)
+            torch.cuda.set_device(int(os.environ.get("LOCAL_RANK", "0")))
+        store, rank, count = next(rendezvous("env://", timeout=_JOINING))
+        backend = "nccl" if on_gpu else "gloo"
+        dist.init_process_group(backend, store=store, rank=rank, world_size=count, timeout=_PATIENCE)
     except (RuntimeError, ValueError) as error:
         raise TrainingError(
             f"{process}: cannot join the others ({_line(error)}), expected no more processes than GPUs, or --device cpu"

@@ -8,6 +8,8 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, cast
 
+import numpy as np
+
 from sequences.frame import Frame
 from sequences.options import SequenceOptions
 from vapor.checkpoints.checkpoint import Checkpoint
@@ -103,8 +105,17 @@ def train_on_images(images: TrainingSet, names: Sequence[str], output: Path, con
     """Train on images that were loaded before, for the configured frame size and crop; else as `train`.
 
     `names` are the names of the sequences, for the model file.
+
+    Raises:
+        TrainingError: images smaller than the network's frame, or another number of names than of sequences.
     """
     initial = _checked_start(output, config)
+    (width, height), found = config.network.frame_size, images.images.shape[1:3]
+    if found[0] < height or found[1] < width:
+        size = f"{found[1]} x {found[0]}"
+        raise TrainingError(f"images are {size} pixels, expected at least {width} x {height} as the network's frame")
+    if not 1 <= len(names) <= (count := len(np.unique(images.sequence))):
+        raise TrainingError(f"{len(names)} names of files and folders with {count} sequences, expected 1 to {count}")
     named = {"data": list(names), "validation_data": []}
     return _train(images, None, named, output, config, initial, lambda _: None)
 

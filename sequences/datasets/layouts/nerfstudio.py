@@ -43,6 +43,7 @@ _COEFFICIENTS: dict[DistortionModel, tuple[str, ...]] = {
 }
 # Keys by which instant-ngp marks images of other cameras than pinholes and fisheyes.
 _OTHER_IMAGES = ("equirectangular", "latlong", "orthographic", "ftheta_p0")
+_PANORAMAS = ("EQUIRECTANGULAR", "equirectangular", "latlong")
 _SMALLEST = 1e-6  # of positive numbers
 _SUFFIXES = ("", ".png", ".jpg", ".jpeg")  # that names may lack
 
@@ -124,13 +125,19 @@ def _read_stated(values: dict[str, Any], where: str) -> _Stated:
 
 
 def _camera_model(values: dict[str, Any], where: str) -> str:
-    fisheye = "OPENCV_FISHEYE" if values.get("is_fisheye") else "OPENCV"
-    name = values.get("camera_model") or next((key for key in _OTHER_IMAGES if values.get(key)), fisheye)
+    fisheye = values.get("is_fisheye") or False
+    if not isinstance(fisheye, bool):
+        raise SequenceError(f"{where}: is_fisheye is {quoted(fisheye)}, expected true or false")
+    name = values.get("camera_model") or next((key for key in _OTHER_IMAGES if values.get(key)), None)
+    if name is None:
+        return "OPENCV_FISHEYE" if fisheye else "OPENCV"
     if not isinstance(name, str) or name not in _MODELS:
-        raise SequenceError(
-            f"{where}: camera_model {quoted(name)}, expected one of {', '.join(_MODELS)}; of panoramas `ns-process-data"
-            " images --camera-type equirectangular` cuts perspective images"
-        )
+        way_out = f"expected one of {', '.join(_MODELS)}"
+        if name in _PANORAMAS:
+            way_out = "expected perspective images, as `ns-process-data images --camera-type equirectangular` cuts out"
+        raise SequenceError(f"{where}: camera_model {quoted(name)}, {way_out}")
+    if fisheye and name != "OPENCV_FISHEYE":
+        raise SequenceError(f"{where}: camera_model {name} and is_fisheye, expected OPENCV_FISHEYE or no camera_model")
     return name
 
 

@@ -9,6 +9,7 @@ import pytest
 from sequences.datasets.listing import list_images
 from sequences.errors import SequenceError
 from sequences.files import UNUSABLE
+from sequences.frame import Camera
 from sequences.images.undistortion import Lens
 from tests.helpers.dot_scene import (
     FX,
@@ -92,18 +93,34 @@ def test_a_fisheye_is_equidistant_whoever_names_it_so(
         assert (lens.model, lens.coefficients) == ("equidistant", tuple(numbers.values()) or (0, 0, 0, 0))
 
 
+def test_frames_of_a_fisheye_and_a_pinhole_camera_each_have_their_own(tmp_path: Path) -> None:
+    folder = make_nerfstudio(tmp_path / "scene")
+
+    def change(content: dict) -> None:
+        del content["camera_model"]
+        content["frames"][1].update(is_fisheye=True, k1=0.1, fl_x=150.0)  # the first by its name
+
+    edit_json(folder / "transforms.json", change)
+    first, second, *_ = list_images(folder).cameras
+    assert isinstance(first, Lens)
+    assert isinstance(second, Camera)
+    assert (first.model, first.camera.fx, second.fx) == ("equidistant", 150.0, FX)
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
         (
             lambda c: c.update(camera_model="EQUIRECTANGULAR"),
-            "frames[0]: camera_model 'EQUIRECTANGULAR', expected one of SIMPLE_PINHOLE",
+            "frames[0]: camera_model 'EQUIRECTANGULAR', expected perspective images, as `ns-process-data images",
         ),
         (
             lambda c: (c.pop("camera_model"), c.update(latlong=True)),
-            "frames[0]: camera_model 'latlong', expected one of",
+            "frames[0]: camera_model 'latlong', expected per",
         ),
         (lambda c: c.update(camera_model="FISHEYE624"), "camera_model 'FISHEYE624', expected one of SIMPLE_PINHOLE"),
+        (lambda c: c.update(is_fisheye=True), "frames[0]: camera_model OPENCV and is_fisheye, expected OPENCV_FISHEYE"),
+        (lambda c: c.update(is_fisheye="yes"), "frames[0]: is_fisheye is 'yes', expected true or false"),
         (lambda c: c.update(camera_model="OPENCV_FISHEYE", p1=0.1), "frames[0]: p1 of OPENCV_FISHEYE is not 0"),
         (lambda c: c.update(k4=0.1), "frames[0]: k4 of OPENCV is not 0"),
         (lambda c: c.update(fl_x="long"), "frames[0]: fl_x is 'long', expected a number"),

@@ -16,7 +16,8 @@ from sequences.frame import Frame
 from sequences.live.reader import LiveReader, TopicBuffer
 from sequences.options import ReadingOptions, SequenceOptions
 from sequences.reader import SequenceReader
-from sequences.recordings.source import TF_STATIC, RawMessage
+from sequences.recordings.message_definitions import encoder
+from sequences.recordings.source import TF, TF_STATIC, RawMessage
 from tests.helpers import tf_files
 from tests.helpers.checks import no_checks
 from tests.helpers.fake_transport import FakeTransport, messages_of, offering
@@ -184,6 +185,19 @@ def test_of_several_images_that_are_due_the_newest_is_given_and_moves_from_the_l
     assert robot.reader.newest_frame() is None
 
 
+def test_where_the_newest_image_cannot_be_used_the_one_before_it_is_given(tmp_path: Path) -> None:
+    walk = Walk()
+    walk.images[6] = (walk.images[6][0], b"no image")
+    raws = messages_of(walk.write(tmp_path / "walk.mcap"))
+    robot = Robot(offering(raws))
+    robot.live_through([raw for raw in raws if at_ms(raw) < 250])
+    robot.live_through([raw for raw in raws if 250 < at_ms(raw) < 650], ask=False)
+    frame = robot.reader.newest_frame()
+    assert frame is not None
+    assert (frame.time_ns - BEGIN_NS) / MS == 500
+    assert robot.reader.counts.skipped == {OVERTAKEN: 2, "undecodable image": 1}
+
+
 def test_images_that_nobody_asks_for_do_not_pile_up(long_raws: list[RawMessage]) -> None:
     for with_odometry, reason in ((True, OVERTAKEN), (False, "odometry had not come yet")):
         robot = Robot(offering(long_raws))
@@ -219,6 +233,14 @@ def test_odometry_that_comes_twice_or_late_is_left_out(raws: list[RawMessage], w
     skipped = robot.reader.skipped_messages
     assert set(skipped) == {"poses of odometry: time stamp not increasing"}
     assert skipped.total() >= len(odometry) - 12
+
+
+def test_times_of_arrival_are_known_by_stamp(raws: list[RawMessage]) -> None:
+    arriving = [raw._replace(log_time_ns=raw.log_time_ns + 40 * MS) for raw in raws]
+    robot = lived(arriving)
+    for _, frame in robot.frames:
+        assert robot.reader.arrived_ns(frame.time_ns) == frame.time_ns + 40 * MS
+    assert robot.reader.arrived_ns(BEGIN_NS + 1) is None
 
 
 def test_take_says_whether_odometry_is_there_that_is_later(raws: list[RawMessage]) -> None:
@@ -325,6 +347,15 @@ def test_damaged_messages_are_counted_and_frames_stay_what_they_are(
     assert robot.reader.counts.as_json() == {"stated": 12, "read": 12, "used": 12, "skipped": {}}
 
 
+def test_damaged_messages_of_tf_are_counted_where_odometry_is_told_there(tmp_path: Path) -> None:
+    path = tf_record(tmp_path / "tf.mcap")
+    said, number = with_damage(messages_of(path), TF)
+    robot = lived(said)
+    require_same([frame for _, frame in robot.frames], SequenceReader(path))
+    assert number > 400
+    assert robot.reader.skipped_messages.total() == number
+
+
 def test_before_everything_is_there_damaged_images_odometry_and_intrinsics_are_passed_over(
     raws: list[RawMessage], walk_file: Path
 ) -> None:
@@ -333,6 +364,18 @@ def test_before_everything_is_there_damaged_images_odometry_and_intrinsics_are_p
         bad = [first._replace(data=first.data[:end]) for end in (0, 3, 11, len(first.data) // 2)]
         robot = lived([*bad, *raws])
         require_same([frame for _, frame in robot.frames], SequenceReader(walk_file))
+
+
+def test_poses_that_are_none_are_counted(raws: list[RawMessage], walk_file: Path) -> None:
+    first = next(raw for raw in raws if raw.topic == ODOMETRY and at_ms(raw) > 350)
+    pose = {"position": {"x": float("nan")}, "orientation": {"w": 1.0}}
+    header = {"stamp": dict(zip(("sec", "nanosec"), divmod(first.log_time_ns + 1, SECOND), strict=True))}
+    fields = {"header": {**header, "frame_id": "odom"}, "child_frame_id": "base_link", "pose": {"pose": pose}}
+    bad = first._replace(data=encoder("nav_msgs/Odometry")(fields))
+    robot = lived([each for raw in raws for each in ([raw, bad] if raw is first else [raw])])
+    require_same([frame for _, frame in robot.frames], SequenceReader(walk_file))
+    assert robot.reader.skipped_messages == {"unusable poses of odometry": 1}
+    assert any("not finite" in said for said in robot.reader.problems.values())
 
 
 # --- clocks ---------------------------------------------------------------------------------------
@@ -393,6 +436,15 @@ def test_messages_that_were_held_up_for_seconds_make_the_same_frames(
     assert robot.reader.readings == 1
 
 
+def test_stamps_of_no_use_are_replaced_by_times_of_arrival(walk_file: Path, raws: list[RawMessage]) -> None:
+    """As --stamps log asks it to."""
+    said = [raw if raw.topic == TF_STATIC else stamped(raw, 7 * SECOND) for raw in raws]
+    robot = lived(said, ReadingOptions(stamps="log"))
+    require_same([frame for _, frame in robot.frames], SequenceReader(walk_file))
+    robot = lived(said)
+    assert len(robot.frames) <= 1
+
+
 # --- counts ---------------------------------------------------------------------------------------
 
 
@@ -447,6 +499,36 @@ def test_a_topic_that_is_published_with_two_types_is_refused(raws: list[RawMessa
         Robot(transport).try_to_open()
 
 
+def test_what_is_not_there_yet_is_named(raws: list[RawMessage]) -> None:
+    for topic, said in [
+        (IMAGES, "no image topic, expected one of type sensor_msgs/Image"),
+        (ODOMETRY, "no odometry topic, expected one of type nav_msgs/Odometry; found "),
+        (TF_STATIC, "no transform from 'base_link' (/odom, child frame) to 'camera_optical_frame'"),
+    ]:
+        robot = lived([raw for raw in raws if raw.topic != topic])
+        assert robot.opened is None
+        assert said in robot.wanting[-1]
+        assert robot.wanting[-1].startswith("a made-up system: ")
+
+
+def test_topics_may_come_one_after_the_other(raws: list[RawMessage], walk_file: Path) -> None:
+    since_ms = {IMAGES: 0, ODOMETRY: 215, INFO: 315, TF_STATIC: 415}
+    late = [
+        raw._replace(log_time_ns=BEGIN_NS + since_ms[TF_STATIC] * MS) if raw.topic == TF_STATIC else raw for raw in raws
+    ]
+    robot = Robot(FakeTransport())
+    for raw in sorted(late, key=lambda raw: raw.log_time_ns):
+        if at_ms(raw) >= since_ms.get(raw.topic, 1e9):
+            robot.transport.offer(raw.topic, raw.type, latched=raw.topic == TF_STATIC)
+            robot.live_through([raw])
+    said = list(dict.fromkeys(robot.wanting))[-3:]
+    for each, wanted in zip(said, ("no odometry topic", "no readable message on /odom", "no transform"), strict=True):
+        assert wanted in each
+    assert robot.times_ms == [100 * n for n in range(3, 12)]  # from where odometry was heard
+    assert robot.reader.camera.camera == CAMERA
+    require_same([frame for _, frame in robot.frames][1:], list(SequenceReader(walk_file))[4:])
+
+
 def test_a_publisher_that_comes_back_with_other_reliability_is_heard_again(raws: list[RawMessage]) -> None:
     robot = Robot(offering(raws))
     robot.live_through([raw for raw in raws if at_ms(raw) < 550])
@@ -458,6 +540,22 @@ def test_a_publisher_that_comes_back_with_other_reliability_is_heard_again(raws:
     robot.live_through([raw for raw in raws if at_ms(raw) > 550])
     assert [(offer.topic, offer.reliable) for offer in robot.transport.subscribed[before:]] == [(IMAGES, False)]
     assert len(robot.frames) == 12
+
+
+def test_topics_of_no_use_are_not_listened_to(raws: list[RawMessage]) -> None:
+    transport = offering(raws)
+    for name, kind in (
+        ("/scan", "sensor_msgs/LaserScan"),
+        ("/tf", "std_msgs/Empty"),
+        ("/clock", "rosgraph_msgs/Clock"),
+    ):
+        transport.offer(name, kind)
+    robot = Robot(transport)
+    robot.live_through(raws)
+    assert len(robot.frames) == 12
+    assert {offer.topic for offer in transport.subscribed} == {IMAGES, ODOMETRY, INFO, TF_STATIC}
+    assert "/tf" not in robot.heard
+    assert robot.reader.streamed == [IMAGES, ODOMETRY, INFO, TF_STATIC]
 
 
 # --- odometry by tf -------------------------------------------------------------------------------
@@ -508,3 +606,27 @@ def test_tf_of_one_robot_among_several_is_taken_by_its_name(tmp_path: Path) -> N
     said = r"no tf on '/robot3/tf' \(--tf-topic\), found: /robot1/tf, /robot2/tf; expected one of these"
     with pytest.raises(NotFoundError, match=said):
         SequenceReader(two, SequenceOptions(tf_topic="/robot3/tf"))
+
+
+def test_a_clock_of_tf_that_is_set_begins_a_new_reading(tmp_path: Path) -> None:
+    raws = messages_of(tf_record(tmp_path / "tf.mcap", num_images=20))
+    by_ns = -5 * SECOND
+
+    def said(raw: RawMessage) -> RawMessage:
+        if raw.topic == TF_STATIC or at_ms(raw) < 1005:
+            return raw
+        offset = 4 if raw.topic == TF else 0  # behind the number of transforms
+        data = raw.data
+        sec, nanosec = struct.unpack_from("<iI", data, 4 + offset)
+        stamp = struct.pack("<iI", *divmod(sec * SECOND + nanosec + by_ns, SECOND))
+        return raw._replace(data=data[: 4 + offset] + stamp + data[12 + offset :])
+
+    robot = lived([said(raw) for raw in raws])
+    assert robot.reader.readings > 1
+    after = [frame for n, frame in robot.frames if n == robot.reader.readings]
+    assert after[0].odometry is None
+    assert len(after) >= 5
+    for last, frame in pairwise(after):
+        assert frame.odometry is not None
+        moved = world_from_camera(last.time_ns - by_ns).inverse() @ world_from_camera(frame.time_ns - by_ns)
+        assert close(frame.odometry.previous_from_current, moved, 1e-3)

@@ -96,8 +96,8 @@ def test_what_is_waited_for_is_said_until_all_is_there(wait: Wait) -> None:
         f"no readable message on {IMAGES} ",
         "no odometry topic, expected one of type nav_msgs/Odometry; found ",
         "no readable message on /odom ",
-        "no transform from 'base_link' to 'camera_optical_frame' ",
-        "no transform from 'base_link' to 'camera_optical_frame' ",
+        "no transform from 'base_link' (/odom, child frame) to 'camera_optical_frame' ",
+        "no transform from 'base_link' (/odom, child frame) to 'camera_optical_frame' ",
         f"no readable message on {INFO} ",
     ]
     assert [said[: len(start)] for (_, said), start in zip(wait.said, expected, strict=True)] == expected

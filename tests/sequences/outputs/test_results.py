@@ -108,6 +108,17 @@ def test_results_in_the_working_directory_are_replaced_within_it(tmp_path, monke
     assert set(os.listdir(tmp_path)) == {"a.tum", "b.json", MANIFEST}
 
 
+def test_a_folder_that_somebody_makes_during_the_work_is_written_to(tmp_path):
+    def make() -> None:
+        (tmp_path / "out").mkdir()
+        (tmp_path / "out" / "notes.txt").write_text("mine")
+
+    write(tmp_path / "out", "first", meanwhile=make)
+    assert whole(tmp_path / "out") == "first"
+    assert contents(tmp_path / "out")["notes.txt"] == "mine"
+    assert os.listdir(tmp_path) == ["out"]
+
+
 def test_a_file_that_a_user_adds_during_the_work_is_not_lost(tmp_path):
     write(tmp_path / "out", "first")
     write(tmp_path / "out", "second", meanwhile=lambda: (tmp_path / "out" / "notes.txt").write_text("mine"))

@@ -65,7 +65,10 @@ def test_a_folder_must_be_a_rosbag2_with_its_files(walk_file: Path, tmp_path: Pa
         ("version: 5\n", "names no files"),
         ("relative_file_paths:\n- gone.mcap\n", r"gone\.mcap', which is not in the folder"),
         ("relative_file_paths:\n- bag_0.txt\n", r"bag_0\.txt', expected \.mcap or \.db3"),
-        ("relative_file_paths:\n- bag_0.db3.zstd\n", r"bag_0\.db3\.zstd', expected .*unpack it first: `zstd -d`"),
+        (
+            "relative_file_paths:\n- bag_0.db3.zstd\n",
+            r"bag_0\.db3\.zstd', a file packed as a whole; unpack it first: `zstd -d`",
+        ),
     ]:
         listing.write_text(text)
         with pytest.raises(SequenceError, match=said):

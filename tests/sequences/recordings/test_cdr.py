@@ -79,3 +79,8 @@ def test_a_list_that_claims_to_be_longer_than_its_message_is_refused_at_once() -
         data[at : at + 4] = struct.pack("<I", 2**32 - 1)
         with pytest.raises(Exception, match=r"Could not deserialize|Invalid sequence length"):
             decoder(message_type)(bytes(data))
+
+
+def test_bytes_behind_a_message_are_ignored() -> None:
+    data = encoder("nav_msgs/Odometry")({"child_frame_id": "base_link"})
+    assert decoder("nav_msgs/Odometry")(data + bytes(8)).child_frame_id == "base_link"

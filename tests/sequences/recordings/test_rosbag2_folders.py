@@ -65,7 +65,7 @@ def without(text: str, *lines: str) -> str:
     return "".join(f"{line}\n" for line in left)
 
 
-LISTED = "    - bag_1.mcap"
+LISTED, IN_FILES = "    - bag_1.mcap", "    - path: bag_1.mcap"
 
 
 def test_a_file_that_is_gone_from_the_listing_is_missed(walk_file: Path, tmp_path: Path) -> None:
@@ -73,10 +73,20 @@ def test_a_file_that_is_gone_from_the_listing_is_missed(walk_file: Path, tmp_pat
     listing = bag / "metadata.yaml"
     whole = listing.read_text()
     listing.write_text(without(whole, LISTED))
+    with pytest.raises(SequenceError, match=r"`files` has 'bag_1\.mcap' and `relative_file_paths` has not"):
+        images_of(bag)
+    gone = without(whole.split("  files:")[0], LISTED)
+    listing.write_text(gone)
     said = rf"metadata\.yaml: '{IMAGES}': the files that it lists have 6 messages, expected the 12 that it states"
-    with pytest.raises(SequenceError, match=rf"{said} \(`ros2 bag reindex`"):
+    with pytest.raises(SequenceError, match=rf"{said}; beside them lies 'bag_1\.mcap'"):
+        images_of(bag)
+    listing.write_text(gone.replace(IMAGES, "/another"))  # the numbers of all topics remain
+    with pytest.raises(SequenceError, match=r"all topics: the files that it lists have \d+ messages, expected the \d+"):
         images_of(bag)
     (bag / "bag_1.mcap").unlink()
+    listing.write_text(gone)
+    with pytest.raises(SequenceError, match=rf"{said} \(`ros2 bag reindex`"):
+        images_of(bag)
     listing.write_text(whole)
     with pytest.raises(SequenceError, match=r"names 'bag_1\.mcap', which is not in the folder"):
         images_of(bag)
@@ -100,6 +110,14 @@ def test_a_listing_that_states_no_numbers_is_read_with_a_notice(walk_file: Path,
         assert images_of(bag) == (12, [told])
     listing.write_text("relative_file_paths:\n- bag_0.mcap\n")
     assert images_of(bag) == (6, [told, "metadata.yaml does not list 'bag_1.mcap': not read"])
+
+
+def test_a_file_beside_is_named_where_nothing_is_missing(walk_file: Path, tmp_path: Path) -> None:
+    bag = as_split_folder(walk_file, tmp_path)
+    for name in ("copy.mcap", "d.mcap", "e.mcap", "f.mcap"):
+        (bag / name).write_bytes(walk_file.read_bytes())
+    said = "metadata.yaml does not list 'copy.mcap', 'd.mcap', 'e.mcap' and 1 more: not read"
+    assert images_of(bag) == (12, [said])
 
 
 def test_numbers_of_the_listing_speak_for_files_that_state_none(walk_file: Path, tmp_path: Path) -> None:

@@ -37,6 +37,7 @@ WRONG = {
         ["run", "s3://walks/a.mcap", *RUN[2:]],
         "run: s3://walks/a.mcap: expected a path; copy or mount",
     ),
+    "a URL to write": ([*RUN[:-2], "--output=oss://b/x"], "oss://b/x: expected a path"),
     "a URL to train on": (["train", "gs://walks/a@0:9", *TRAIN[2:]], "gs://walks/a@0:9: expected a path"),
     "value that is no number": ([*RUN, "--seed", "one"], "one"),
     "no samples": ([*RUN, "--num-samples", "0"], "num_samples is 0"),

@@ -20,7 +20,10 @@ NOWHERE = Poses(np.eye(3), np.array([np.nan, 0.0, 0.0]))
     [
         (IMAGES, ["no image topic", "sensor_msgs/Image or sensor_msgs/CompressedImage", "/odom (nav_msgs/Odometry)"]),
         (ODOMETRY, ["no odometry topic", "expected one of type nav_msgs/Odometry", "--odometry-frame"]),
-        ("/tf_static", ["no transform from 'base_link' to 'camera_optical_frame'", "--base-from-camera"]),
+        (
+            "/tf_static",
+            ["no transform from 'base_link' (/odom, child frame) to 'camera_optical_frame'", "--base-from-camera"],
+        ),
     ],
 )
 def test_a_sequence_that_lacks_a_topic_is_refused(lacking, said, walk_of_25, tiny_model, earlier, capsys):

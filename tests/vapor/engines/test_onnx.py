@@ -207,9 +207,43 @@ def test_a_configuration_of_wrong_values_is_refused_though_checksums_fit(changed
     assert said in refused(small)
 
 
-def test_a_graph_that_is_none_though_its_digest_fits_is_not_run(small):
-    with pytest.raises(VaporTrackError, match=r"^m\.onnx: OpenVINO cannot compile the network in float32 \(.+\), exp"):
-        start_engine(describe_onnx(small))
+def graph_of(image: list, noise: list, outputs: tuple[str, ...], operator: str = "Identity") -> bytes:
+    """A graph of other inputs, outputs or operators than an exported model has."""
+    shapes = {"translation": ["m", 3], "rotation": ["m", 3, 3]}
+    nodes = [helper.make_node(operator, ["noise"], [name]) for name in outputs]
+    graph = helper.make_graph(
+        nodes,
+        "other",
+        [
+            helper.make_tensor_value_info("image", TensorProto.UINT8, image),
+            helper.make_tensor_value_info("noise", TensorProto.FLOAT, noise),
+        ],
+        [helper.make_tensor_value_info(name, TensorProto.FLOAT, shapes[name]) for name in outputs],
+    )
+    return helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8).SerializeToString()
+
+
+@pytest.mark.parametrize(
+    ("graph", "said"),
+    [
+        (
+            graph_of([32, 40, 3], ["m", 3], ("translation",), "Unknown"),
+            "OpenVINO cannot compile the network in float32 (",
+        ),
+        (GRAPH_BYTES, "its network has no inputs; expected image"),
+        (graph_of([32, 40, 3], ["m", 3], ("translation",)), "expected image u8 [32,40,3], noise f32 [?,d], trans"),
+        (graph_of([64, 40, 3], ["m", 3], ("translation", "rotation")), "image u8 [64,40,3]"),
+        (graph_of([32, 40, 3], ["m", 10**6], ("translation", "rotation")), "noise f32 [?,1000000]"),
+    ],
+    ids=["unknown operator", "no graph", "one output", "other image", "much noise"],
+)
+def test_another_network_whose_digest_fits_is_not_run(graph, said, here):
+    told = describe_onnx(write_export(Path("m.onnx"), any_checkpoint(in_distribution=False).description, graph))
+    with pytest.raises(VaporTrackError) as found:
+        start_engine(told)
+    assert said in str(found.value)
+    assert str(found.value).startswith("m.onnx: ")
+    assert "\n" not in str(found.value)
 
 
 @pytest.fixture
@@ -251,7 +285,7 @@ def test_an_exported_model_runs_by_openvino_only(exported):
     found = engine.run(an_image(), noise(8))
     np.testing.assert_allclose(found.translation, expected.translation, atol=1e-4)
     assert engine.name == "openvino"
-    with pytest.raises(VaporTrackError, match="with engine torch and device auto, expected engine openvino"):
+    with pytest.raises(VaporTrackError, match="an exported model with engine torch, expected engine openvino"):
         start_engine(told, EngineConfig("torch"))
 
 

@@ -167,7 +167,7 @@ def test_a_processor_without_bfloat16_is_told_so(model: Path, tmp_path: Path, mo
 
 
 def test_engines_that_do_not_go_with_a_device_are_refused(model: Path) -> None:
-    with pytest.raises(VaporTrackError, match="engine openvino with engine openvino and device cuda"):
+    with pytest.raises(VaporTrackError, match="engine openvino with device cuda"):
         start_engine(describe(model), OPENVINO, device="cuda")
     with pytest.raises(VaporTrackError, match="precision bfloat16: torch is slow with it on processors"):
         start_engine(describe(model), EngineConfig("torch", "bfloat16"), device="cpu")

@@ -1,6 +1,7 @@
 """Intrinsics in an inspection: those that fit images and their true poses, beside those that are stated."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -82,7 +83,9 @@ def test_what_tells_nothing_of_a_camera_is_no_failure(room):
     ):
         assert found.fit is None
         assert not found.disagrees
-        assert found.in_words.startswith("unknown: too few points are seen from two sides")
+        assert re.match(
+            "unknown: (too few points are seen from two sides|one image has a true pose|no image has)", found.in_words
+        )
         assert set(found.as_json()) == {"images", "unknown"}
 
 

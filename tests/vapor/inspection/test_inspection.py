@@ -89,7 +89,7 @@ def test_without_true_poses_all_else_is_said_and_what_to_give(tmp_path):
 @pytest.mark.parametrize("count", [1, 10])
 def test_few_images_are_no_error(count, tmp_path):
     found = inspect([write(tmp_path / "w.mcap", walked(count))])
-    only(found, f"record more: {count} images")
+    only(found, f"record more: {count} image")
     only(found, "nothing can be held out")
     json.dumps(found.as_json(), allow_nan=False)
 

@@ -5,7 +5,9 @@ import re
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -82,12 +84,60 @@ def test_a_message_is_served_as_its_bytes(server: FoxgloveServer) -> None:
     assert len(decoder(raw.type)(served.data).poses) == 500
 
 
+def test_a_topic_that_comes_later_is_offered_to_those_who_are_there(server: FoxgloveServer) -> None:
+    with FoxgloveClient(server.port) as client:
+        server.write(particles())
+        client.wait_for("/estimate/particles")
+
+
 def test_a_type_that_is_unknown_is_not_offered(server: FoxgloveServer) -> None:
     server.write(RawMessage("/other", TIME_NS, b"\0\1\0\0", "other_msgs/Thing", "cdr", b""))
     server.write(particles())
     with FoxgloveClient(server.port) as client:
         client.wait_for("/estimate/particles")
         assert "/other" not in client.channels
+
+
+def test_one_who_vanishes_leaves_the_others_be(server: FoxgloveServer) -> None:
+    raw = particles()
+    server.write(raw)
+    with FoxgloveClient(server.port) as stays, FoxgloveClient(server.port) as goes:
+        for client in (stays, goes):
+            client.wait_for("/estimate/particles")
+            client.subscribe("/estimate/particles")
+            client.message(lambda: server.write(raw))
+        goes.vanish()
+        assert stays.message(lambda: server.write(raw)).data == raw.data
+
+
+def test_one_who_does_not_read_holds_up_nobody(server: FoxgloveServer) -> None:
+    fields = {
+        "header": {"stamp": {"sec": 1, "nanosec": 2}, "frame_id": "camera"},
+        "format": "jpeg",
+        "data": bytes(2_000_000),
+    }
+    data = encoder("sensor_msgs/CompressedImage")(fields)
+    raw = RawMessage("/camera/image/compressed", TIME_NS, data, "sensor_msgs/CompressedImage", "cdr", b"")
+    server.write(raw)
+    with FoxgloveClient(server.port) as client:
+        client.wait_for(raw.topic)
+        client.subscribe(raw.topic)
+        client.message(lambda: server.write(raw))
+        begin_s = time.monotonic()
+        for _ in range(100):
+            server.write(raw)
+        assert time.monotonic() - begin_s < 5.0
+
+
+def test_when_it_has_stopped_its_port_is_soon_free() -> None:
+    with FoxgloveServer("127.0.0.1", 0) as server:
+        port = server.port
+    end_s = time.monotonic() + 3.0
+    while True:
+        with suppress(VaporTrackError), FoxgloveServer("127.0.0.1", port) as again:
+            assert again.port == port
+            return
+        assert time.monotonic() < end_s
 
 
 def test_what_is_said_only_once_is_told_to_those_who_come_late() -> None:

@@ -77,6 +77,16 @@ class Options(SceneOptions):
                 f"--recordings beside {len(self.scenes)} scenes and {len(self.models)} --models, expected no scene and"
                 " one model"
             )
+        else:
+            ordinary, c = FaultsConfig(), self.config
+            if (c.walks, c.replay.frames, c.replay.odometry_scale) != (
+                ordinary.walks,
+                ordinary.replay.frames,
+                ordinary.replay.odometry_scale,
+            ):
+                raise VaporTrackError("--walks, --frames or --odometry-scale beside --recordings, expected scenes")
+            if c.faults == ("three-times",):
+                raise VaporTrackError("no fault but three-times: recordings have no images between theirs")
 
     @property
     def model_of(self) -> dict[str, str]:

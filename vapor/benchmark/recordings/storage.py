@@ -213,7 +213,9 @@ def load_recording(settings: Settings, directory: Path) -> Recording:
     folder = directory / settings.name
     try:
         stored = read_arrays(folder / PATH)
-        samples = np.memmap(folder / SAMPLES, np.float32, "r").reshape(len(stored["times_ns"]), -1, 12)
+        samples = np.memmap(folder / SAMPLES, np.float32, "r").reshape(
+            len(stored["times_ns"]), settings.stored["num_samples"], 12
+        )
     except (SequenceError, OSError, ValueError) as error:
         raise VaporTrackError(f"{folder}: {error}, expected a recording; remove it to make it again") from error
     return Recording(
