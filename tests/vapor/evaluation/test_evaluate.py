@@ -223,7 +223,7 @@ def test_another_ground_truth_may_be_given(tmp_path):
 
 
 def test_missing_files_and_foreign_truth_are_refused_by_name(tmp_path):
-    with pytest.raises(VaporTrackError, match=r"nowhere: no trajectory\.tum in it"):
+    with pytest.raises(VaporTrackError, match=r"nowhere: no such directory"):
         evaluate_directory(tmp_path / "nowhere")
     with pytest.raises(VaporTrackError, match=r"no trajectory\.tum in it"):
         evaluate_directory(tmp_path)
