@@ -8,6 +8,7 @@ convolutions pad as TensorFlow does, where the weights come from: more after tha
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from functools import partial
 from itertools import pairwise
 from math import ceil
@@ -60,7 +61,7 @@ class BasicBlock(nn.Module):
         return torch.relu_(y + (x if self.downsample is None else self.downsample(x)))
 
 
-class _Backbone(nn.Module):
+class _Backbone(nn.Module, ABC):
     """A convolutional network without classifier."""
 
     num_features: int
@@ -71,9 +72,9 @@ class _Backbone(nn.Module):
             if isinstance(module, nn.Conv2d) and not module.weight.is_meta:
                 nn.init.kaiming_normal_(module.weight, mode="fan_out", nonlinearity="relu")
 
+    @abstractmethod
     def maps(self, x: Float[Tensor, "b 3 h w"]) -> tuple[Float[Tensor, "b c i j"], Float[Tensor, "b f k l"]]:
         """Outputs of the third of `stages` and of the last layer, for normalised images."""
-        raise NotImplementedError
 
     def forward(self, x: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b f"]:
         """Features of normalised images."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
@@ -102,7 +103,7 @@ def simulated_motions(times_ns: np.ndarray, truth: Poses, *, rng: np.random.Gene
 
 
 @dataclass(frozen=True)
-class Row:
+class Row(ABC):
     """A recording made by others that methods are evaluated on."""
 
     name: str
@@ -118,14 +119,14 @@ class Row:
         return True
 
     @property
+    @abstractmethod
     def needs(self) -> tuple[str, ...]:
         """Files and folders of the data that must be there."""
-        raise NotImplementedError
 
+    @abstractmethod
     def prepare(self, context: RowContext, seed: int) -> dict[str, Any]:
         """Make the input of a draw unless it is there; returns all that the result depends on besides code, as JSON."""
-        raise NotImplementedError
 
+    @abstractmethod
     def draw(self, context: RowContext, seed: int) -> Draw:
         """A draw, once its input is there."""
-        raise NotImplementedError

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import json
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -39,13 +40,13 @@ def seen_digest(checkpoint: Checkpoint) -> str:
 
 
 @dataclass(frozen=True)
-class Settings:
+class Settings(ABC):
     """Everything that a recording depends on."""
 
     @property
+    @abstractmethod
     def label(self) -> str:
         """Begin of the name."""
-        raise NotImplementedError
 
     @property
     def name(self) -> str:
