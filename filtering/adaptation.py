@@ -99,7 +99,8 @@ class ErrorScale:
         # Where odometry is less exact than images, a difference shows the error of odometry.
         worth = float(np.trace(information[nearest] @ of_images[nearest])) / 6.0
         kept = min(1.0, _REMEMBERED / (self.count + worth))
-        found = worth * float(squared[nearest]) / _usual(posterior.noise.degrees_of_freedom)
+        usual = _usual(posterior.noise.degrees_of_freedom) if posterior.calibrated else 1.0
+        found = worth * float(squared[nearest]) / usual
         scale = replace(self, total=kept * (self.total + found), count=kept * (self.count + worth))
         return scale._from(posterior, nearest)
 

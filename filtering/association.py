@@ -24,7 +24,7 @@ Of = TypeVar("Of")
 _GATE = 36.0  # times the summed variances of position, and of rotation: a coarse gate before any Mahalanobis distance
 PLACE = 3.0
 """Standard deviations of the error: finer details do not distinguish places."""
-_LEAST = 1e-3  # fraction of a hypothesis that goes on as one of its own
+_LEAST = 1e-3  # fraction of a hypothesis that goes on as one of its own; smaller ones go to its other parts
 _UNUSUAL = 1.25  # factor of the variance from which on the error is taken as one of its own
 
 
@@ -125,15 +125,18 @@ def correct(
     log_seen = np.log1p(-outlier)[hypothesis] + log_place[place] + log_density
     log_unseen = np.log(outlier) + posterior.noise.log_clutter_density
     log_total = _log_total(log_seen, hypothesis, log_unseen)
-    unseen = np.exp(log_unseen - log_total)
-    aside = np.flatnonzero(unseen > _LEAST)
+    unseen, log_fraction = np.exp(log_unseen - log_total), log_seen - log_total[hypothesis]
+    unseen[unseen <= _LEAST] = 0.0
+    log_fraction[log_fraction <= np.log(_LEAST)] = -np.inf
+    kept = unseen + np.bincount(hypothesis, np.exp(log_fraction), minlength=len(belief))
+    aside = np.flatnonzero(unseen)
     as_it_was = belief[aside]
-    parts = [as_it_was.reweighted(np.log(unseen[aside]))]
-    log_fraction, begin = log_seen - log_total[hypothesis], 0
+    parts = [as_it_was.reweighted(np.log(unseen[aside] / kept[aside]))]
+    log_fraction, begin = log_fraction - np.log(kept)[hypothesis], 0
     for each in pairs:
         own = log_fraction[begin : begin + len(each.place)]
         begin += len(each.place)
-        taken = np.flatnonzero(own > np.log(_LEAST))
+        taken = np.flatnonzero(own > -np.inf)
         if len(taken):
             parts.append(_corrected(belief, posterior.means, each, taken, own[taken]))
     return concatenate(parts)

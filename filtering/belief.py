@@ -25,6 +25,7 @@ class Belief:
         agreement: Fraction of the belief that fits the latest images, in [0, 1].
         usual_agreement: The same over a longer time.
         unseen_s: Seconds since an image with any place, or one out of distribution.
+        drift: Mean (6,) and covariance (6, 6) of the odometry's drift before a gap; None where odometry is known.
         provisional: Whether the next informative image replaces the belief.
         normalized_distance: Of the first camera since the last image, in lengths over which its errors are correlated.
     """
@@ -36,6 +37,7 @@ class Belief:
     agreement: float = 1.0
     usual_agreement: float = 1.0
     unseen_s: float = 0.0
+    drift: tuple[np.ndarray, np.ndarray] | None = None
     provisional: bool = False
     normalized_distance: float = 0.0
 

@@ -59,10 +59,10 @@ class Source:
         place_tracker, _ = self.place_tracker.across_gap(distance_m, angle_rad)
         return replace(self.unlinked, tracker=tracker, place_tracker=place_tracker), moved
 
-    def predict(self, odom: Odometry, camera_motion: Odometry) -> tuple[Source, float]:
-        """After a motion of the reference frame, and so of the camera; its normalized distance."""
-        tracker, moved = self.tracker.predict(odom.previous_from_current)
-        place_tracker, _ = self.place_tracker.predict(odom.previous_from_current)
+    def predict(self, camera_motion: Odometry) -> tuple[Source, float]:
+        """After a motion of the camera; its normalized distance."""
+        tracker, moved = self.tracker.predict(camera_motion.previous_from_current)
+        place_tracker, _ = self.place_tracker.predict(camera_motion.previous_from_current)
         scale = self.scale.predict(camera_motion, moved)
         return replace(self, tracker=tracker, place_tracker=place_tracker, scale=scale), moved
 
@@ -116,18 +116,24 @@ class CameraMemory:
         after = [source.across_gap(distance_m, angle_rad) for source in self.sources]
         return replace(self, sources=tuple(source for source, _ in after)), [moved for _, moved in after]
 
-    def seen_through(self, reference_from_camera: Poses) -> CameraMemory:
-        """The same with these extrinsics; if they changed, the next image is compared with none before."""
-        mount = self.reference_from_camera
-        if mount is reference_from_camera or np.array_equal(mount.as_matrix(), reference_from_camera.as_matrix()):
-            return self
-        sources = tuple(source.unlinked for source in self.sources)
-        return replace(self, reference_from_camera=reference_from_camera, sources=sources)
+    def has_extrinsics(self, reference_from_camera: Poses) -> bool:
+        """Whether these are its extrinsics, so that the camera did not move on its mount."""
+        known = self.reference_from_camera
+        return known is reference_from_camera or np.array_equal(known.as_matrix(), reference_from_camera.as_matrix())
+
+    def moved_to(self, reference_from_camera: Poses) -> tuple[CameraMemory, list[float]]:
+        """After a motion on its mount, which is known exactly; its normalized distance by source."""
+        moved = self.reference_from_camera.inverse() @ reference_from_camera
+        camera, distances = self._after(Odometry(moved, np.zeros((6, 6)), 0.0))
+        return replace(camera, reference_from_camera=reference_from_camera), distances
 
     def predict(self, odom: Odometry) -> tuple[CameraMemory, list[float]]:
         """After a motion of the reference frame; its normalized distance by source."""
-        motion = odom if self.reference_from_camera.is_identity else odom.of_another_frame(self.reference_from_camera)
-        after = [source.predict(odom, motion) for source in self.sources]
+        mount = self.reference_from_camera
+        return self._after(odom if mount.is_identity else odom.of_another_frame(mount))
+
+    def _after(self, camera_motion: Odometry) -> tuple[CameraMemory, list[float]]:
+        after = [source.predict(camera_motion) for source in self.sources]
         return replace(self, sources=tuple(source for source, _ in after)), [moved for _, moved in after]
 
     def observe(self, posterior: PosePosterior) -> tuple[CameraMemory, float, float]:

@@ -15,8 +15,6 @@ from filtering.resampling import Resampling
 
 Births = Literal["rate", "augmented-mcl"]
 
-_FARTHEST = 1e6  # metres or radians, of a gap
-
 
 @dataclass(frozen=True)
 class GapConfig:
@@ -25,18 +23,21 @@ class GapConfig:
     action: Literal["widen", "forget"] = "widen"
     """Widen the belief by a motion in an unknown direction, or also replace it by the next informative image; until
     then it is "lost"."""
-    speed_m_per_s: float = 1.4
-    """Standard deviation of the speed along each axis; walking pace."""
+    speed_m_per_s: float = 1.5
+    """Standard deviation of the speed along each axis; a brisk walk."""
     turn_rad_per_s: float = 0.5
     """Standard deviation of the turn rate about each axis."""
+    time_s: float = 5.0
+    """Time over which both change, seconds."""
 
     def __post_init__(self) -> None:
-        require_within(self, speed_m_per_s=(0.0, 1e6), turn_rad_per_s=(0.0, 1e3))
+        require_within(self, speed_m_per_s=(0.0, 1e6), turn_rad_per_s=(0.0, 1e3), time_s=(1e-3, 1e9))
 
-    def covariance(self, duration_s: float) -> np.ndarray:
-        """Of ξ = (v, ω) after a motion that is unknown, (6, 6)."""
-        likely = np.minimum([self.speed_m_per_s * duration_s, self.turn_rad_per_s * duration_s], _FARTHEST)
-        return np.diag(np.repeat(np.square(likely), 3))
+    @property
+    def velocity(self) -> OdometryBias:
+        """The unknown velocity, as the drift of odometry that reports no motion."""
+        drift = (*(self.speed_m_per_s,) * 3, *(self.turn_rad_per_s,) * 3)
+        return OdometryBias(scale=0.0, drift=drift, time_s=self.time_s)
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from filtering.unchecked import unchecked_replace
 
-POSE, BIAS = slice(0, 6), slice(6, 13)
+POSE, BIAS, DRIFT = slice(0, 6), slice(6, 13), slice(7, 13)
 """Parts of a state: the error of the pose, and odometry bias (scale, and drift of each axis)."""
 
 _BLOCK = 256
@@ -155,9 +155,22 @@ def birth(
         shared = -np.sqrt(posterior.noise_of(source).correlated_fraction) * posterior.factors[places]
         covariance[places, POSE, own] = shared
         covariance[places, own, POSE] = np.swapaxes(shared, 1, 2)
-    possible = np.maximum(posterior.possible, 1e-300)
-    log_weights = np.log(possible / possible.sum())
-    return Hypotheses(posterior.means, mean, covariance, log_weights)
+    possible = posterior.possible
+    places = np.flatnonzero(possible)
+    return Hypotheses(posterior.means, mean, covariance, np.zeros(count))[places].with_log_weights(
+        np.log(possible[places])
+    )
+
+
+def with_drift(
+    hypotheses: Hypotheses, mean: Float64[np.ndarray, " 6"], covariance: Float64[np.ndarray, "6 6"]
+) -> Hypotheses:
+    """The same with another drift, which is not correlated with the rest of the state."""
+    means, covariances = hypotheses.mean.copy(), hypotheses.covariance.copy()
+    means[:, DRIFT.start - 6 : DRIFT.stop - 6] = mean
+    covariances[:, DRIFT] = covariances[:, :, DRIFT] = 0.0
+    covariances[:, DRIFT, DRIFT] = covariance
+    return replace(hypotheses, mean=means, covariance=covariances)
 
 
 def without_correlation(covariance: Float64[np.ndarray, "n d d"], camera: int) -> Float64[np.ndarray, "n d d"]:

@@ -20,13 +20,13 @@ from filtering.cameras import CameraMemory, Source
 from filtering.config import GapConfig, LocalizerConfig
 from filtering.errors import VaporTrackError, require_within
 from filtering.estimate import Mode
-from filtering.hypotheses import POSE, Hypotheses, birth, with_source
+from filtering.hypotheses import DRIFT, POSE, Hypotheses, birth, with_drift, with_source
 from filtering.measurement_noise import MeasurementNoise
 from filtering.moments import settle
 from filtering.motion import Odometry, OdometryBias, require_odometry
 from filtering.observation import Observation
 from filtering.posterior import PosePosterior
-from filtering.prediction import inflate, motion_of_state
+from filtering.prediction import limit_rotation, motion_of_state
 from filtering.se3 import Poses
 
 
@@ -62,6 +62,7 @@ class KalmanLocalizer:
         self._filter = KalmanFilter(dim_x=19, dim_z=6)
         self._sources: tuple[Source, ...] = ()
         self._provisional = False  # whether the next informative image restarts it
+        self._drift: tuple[np.ndarray, np.ndarray] | None = None  # of odometry, before a gap
         self._rejected_s: float | None = None  # since the first of the images rejected in a row
 
     def update(self, posterior: PosePosterior, odom: Odometry | None, *, elapsed_s: float = 1.0) -> Mode:
@@ -94,8 +95,8 @@ class KalmanLocalizer:
         posterior = views[0].posterior
         if odom is not None:
             require_odometry(odom)
-        if self._pose is None and len(posterior.weights) == 0:
-            raise VaporTrackError("the first image has no place, expected one with at least one")
+        if self._pose is None and not posterior.weights.any():
+            raise VaporTrackError("the first image has no place of any weight, expected at least one")
         if odom is None and self.config.gap.action == "forget":
             self._provisional = True
         if self._pose is None or (self._provisional and not posterior.is_uninformative):
@@ -157,20 +158,29 @@ class KalmanLocalizer:
         self._rejected_s = None
 
     def _predict(self, pose: Poses, odom: Odometry | None, elapsed_s: float) -> None:
-        bias = self.config.odometry_bias
+        bias, hypothesis = self.config.odometry_bias, self._hypothesis(pose)
         if odom is None:
-            gap, bias = self.config.gap, bias.without_drift
+            gap = self.config.gap
+            bias, odom = gap.velocity, Odometry.still(elapsed_s)
             likely = gap.speed_m_per_s * elapsed_s, gap.turn_rad_per_s * elapsed_s
             after = [source.across_gap(*likely) for source in self._sources]
-            self._filter.P = inflate(self._hypothesis(pose), gap.covariance(elapsed_s)).covariance[0]
-            odom = Odometry(Poses.identity(), np.zeros((6, 6)), elapsed_s)
+            if self._drift is None:
+                self._drift = hypothesis.mean[0, 1:7], hypothesis.covariance[0, DRIFT, DRIFT]
+                self._take(with_drift(hypothesis, np.zeros(6), np.eye(6)))
         else:
-            after = [source.predict(odom, odom) for source in self._sources]
+            after = [source.predict(odom) for source in self._sources]
+            if self._drift is not None:
+                self._take(with_drift(hypothesis, *self._drift))
+                self._drift = None
         self._sources = tuple(source for source, _ in after)
         transition, noise = motion_of_state(odom, bias, [moved for _, moved in after])
         self._filter.predict(F=transition, Q=noise)
         settle(self._filter.P)
+        limit_rotation(self._filter.P[None])
         self._fold((pose @ odom.previous_from_current).orthonormal())
+
+    def _take(self, hypothesis: Hypotheses) -> None:
+        self._filter.x[6:, 0], self._filter.P = hypothesis.mean[0], hypothesis.covariance[0]
 
     def _correct(self, posterior: PosePosterior, correlations: Sequence[Correlation]) -> bool:
         """Correct by the nearest place, if it is inside the gate; returns whether it is.

@@ -11,7 +11,6 @@ from jaxtyping import Float64
 
 from filtering.errors import VaporTrackError, require_within
 from filtering.se3 import Poses
-from filtering.unchecked import unchecked_replace
 
 _RIGID = 1e-6  # of RRᵀ − I: float32 passes
 _LARGEST_VARIANCE, _LONGEST_M = 1e12, 1e9
@@ -34,6 +33,11 @@ class Odometry:
     previous_from_current: Poses
     covariance: Float64[np.ndarray, "6 6"]
     duration_s: float
+
+    @staticmethod
+    def still(duration_s: float = 0.0) -> Odometry:
+        """No motion, and no error."""
+        return Odometry(Poses.identity(), np.zeros((6, 6)), duration_s)
 
     @cached_property
     def tangent(self) -> Float64[np.ndarray, " 6"]:
@@ -65,8 +69,9 @@ class Odometry:
         """The motion of another frame that is fixed to this one (one pose)."""
         other_from_this = this_from_other.inverse()
         carry = other_from_this.adjoint()
+        moved = self.previous_from_current
         return Odometry(
-            other_from_this @ self.previous_from_current @ this_from_other,
+            moved if moved.is_identity else other_from_this @ moved @ this_from_other,
             carry @ self.covariance @ carry.T,
             self.duration_s,
         )
@@ -241,15 +246,10 @@ class OdometryBias:
     time_s: float = 30.0
     """Time over which the drift changes, seconds."""
 
-    @property
-    def without_drift(self) -> OdometryBias:
-        """The same for a time without odometry, in which there is no increment that it could change."""
-        return unchecked_replace(self, drift=(0.0,) * 6)
-
     def __post_init__(self) -> None:
         require_within(self, scale=(0.0, 10.0), relative_drift=(0.0, 1e3), time_s=(1e-3, 1e9))
-        if self.drift is not None and not all(0.0 <= value <= 1e3 for value in self.drift):
-            raise VaporTrackError(f"drift is {self.drift}, expected each axis between 0 and 1000")
+        if self.drift is not None and not all(0.0 <= value <= 1e6 for value in self.drift):
+            raise VaporTrackError(f"drift is {self.drift}, expected each axis between 0 and 10⁶")
 
 
 def covariance_factor(covariance: Float64[np.ndarray, "6 6"]) -> Float64[np.ndarray, "6 6"]:

@@ -37,6 +37,8 @@ class PosePosterior:
         growth: Factor of the variances that follows from the score.
         verified: Whether landmarks have verified each place, whose noise is then `noise.verified`, (k,); None for
             none.
+        calibrated: Whether the covariances are scale matrices of the noise's Student t distribution, as calibration
+            fits them, rather than covariances as somebody states them.
         mapped: Where landmarks can verify places; None for everywhere. Only the particle filter uses it.
     """
 
@@ -49,6 +51,7 @@ class PosePosterior:
     growth: float = 1.0
     verified: Bool[np.ndarray, " k"] | None = None
     mapped: MappedViews | None = None
+    calibrated: bool = False
 
     def __post_init__(self) -> None:
         count = len(self.means)
@@ -90,7 +93,7 @@ class PosePosterior:
         weights = np.bincount(label[own], minlength=count) / len(samples)
         growth = noise.growth(ood_score)
         covariances = growth * noise.covariance(covariances)
-        return PosePosterior(means, covariances, weights, noise, samples, ood_score, growth)
+        return PosePosterior(means, covariances, weights, noise, samples, ood_score, growth, calibrated=True)
 
     @staticmethod
     def from_estimates(
@@ -141,8 +144,8 @@ class PosePosterior:
 
     @property
     def is_uninformative(self) -> bool:
-        """Whether it has no place, or is out of distribution."""
-        return len(self.weights) == 0 or self.is_out_of_distribution
+        """Whether it has no place of any weight, or is out of distribution."""
+        return not self.weights.any() or self.is_out_of_distribution
 
     @cached_property
     def variances(self) -> tuple[Float64[np.ndarray, " k"], Float64[np.ndarray, " k"]]:
@@ -196,10 +199,11 @@ class PosePosterior:
 
     @cached_property
     def sources(self) -> tuple[Int64[np.ndarray, " a"], Int64[np.ndarray, " b"]]:
-        """Indices of the places that the network proposes, and of those that landmarks have verified."""
+        """Indices of the places of some weight that the network proposes, and of those that landmarks have verified."""
         if self.verified is None:
-            return np.arange(len(self.weights)), np.empty(0, np.int64)
-        return np.flatnonzero(~self.verified), np.flatnonzero(self.verified)
+            return np.flatnonzero(self.weights), np.empty(0, np.int64)
+        possible = self.weights > 0.0
+        return np.flatnonzero(~self.verified & possible), np.flatnonzero(self.verified & possible)
 
     def noise_of(self, source: int) -> MeasurementNoise:
         """Noise of the places of a source, by its number in `sources`."""

@@ -1,14 +1,13 @@
-"""Prediction: odometry moves hypotheses; without any they are inflated."""
+"""Prediction: odometry moves hypotheses; without any they move by an unknown velocity."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float64
 
-from filtering.hypotheses import BIAS, POSE, Hypotheses, blocks
+from filtering.hypotheses import BIAS, DRIFT, POSE, Hypotheses, blocks
 from filtering.moments import settle
 from filtering.motion import Odometry, OdometryBias
 from filtering.se3 import Poses
@@ -31,17 +30,18 @@ def motion_of_state(
     """
     size = 13 + 6 * len(distances)
     duration_s = min(odometry.duration_s, _LONGEST_S)
-    errs = np.zeros(
-        (6, 7)
-    )  # of the increment, by scale error and drift; a positive scale error means too long increments
-    errs[:3, 0] = -odometry.tangent[:3]
+    times = duration_s / odometry_bias.time_s
+    keeps = np.exp(-times)
+    lasting = -np.expm1(-times) / max(times, 1e-300) if times > 0.0 else 1.0
     if odometry_bias.drift is None:
         drift = odometry_bias.relative_drift * np.sqrt(np.diag(odometry.covariance) * duration_s)
     else:
         drift = np.asarray(odometry_bias.drift) * duration_s
-    errs[:, 1:] = -np.diag(drift)
+    errs = np.zeros((6, 7))  # of the increment, by scale error and drift; a positive scale error means too long ones
+    errs[:3, 0] = -odometry.tangent[:3]
+    errs[:, 1:] = -np.diag(lasting * drift)
     kept = np.ones(size - 6)
-    kept[1:7] = np.exp(-duration_s / odometry_bias.time_s)
+    kept[1:7] = keeps
     for source, distance in enumerate(distances):
         kept[7 + 6 * source : 13 + 6 * source] = np.exp(-distance)
     transition = np.zeros((size, size))
@@ -50,9 +50,23 @@ def motion_of_state(
     rest = np.arange(6, size)
     transition[rest, rest] = kept
     noise = np.zeros((size, size))
-    noise[POSE, POSE] = odometry.noise
+    noise[POSE, POSE] = odometry.noise + np.diag(drift**2) * _integrated(times)
     noise[rest, rest] = 1.0 - kept**2
+    # The drift changes during the motion: integrals of an Ornstein-Uhlenbeck process.
+    noise[POSE, DRIFT] = noise[DRIFT, POSE] = -np.diag(drift) * lasting**2 * times
     return transition, noise
+
+
+def _integrated(times: float) -> float:
+    """Variance that a drift of variance 1 adds to its integral by changing, over the squared duration.
+
+    Args:
+        times: The duration over the time in which it changes.
+    """
+    if times < 1e-3:  # the closed form cancels
+        return 2.0 / 3.0 * times
+    keeps = np.exp(-times)
+    return float((2.0 * times - 3.0 + 4.0 * keeps - keeps**2) / times**2)
 
 
 def predict(
@@ -71,21 +85,35 @@ def predict(
     kept = np.diag(transition)[6:]
     poses = hypotheses.poses @ (step @ Poses.exp(hypotheses.mean[:, :7] @ transition[POSE, BIAS].T))
     covariance = _carried(hypotheses.covariance, transition[POSE, :13], kept)
-    covariance[:, POSE, POSE] += noise[POSE, POSE]
+    covariance[:, :6] += noise[:6]
+    covariance[:, DRIFT, POSE] += noise[DRIFT, POSE]
     rest = np.arange(6, len(noise))
     covariance[:, rest, rest] += np.diag(noise)[6:]
     return Hypotheses(poses.orthonormal(), hypotheses.mean * kept, covariance, hypotheses.log_weights)
 
 
-def inflate(hypotheses: Hypotheses, covariance: Float64[np.ndarray, "6 6"]) -> Hypotheses:
-    """Hypotheses after a motion of which only the covariance of ξ = (v, ω) is known; all directions may be open."""
-    grown = hypotheses.covariance.copy()
-    grown[:, POSE, POSE] += covariance
+def across_gap(
+    hypotheses: Hypotheses, velocity: OdometryBias, duration_s: float, distances: Sequence[float]
+) -> Hypotheses:
+    """Hypotheses after a time without odometry, in which they move by the velocity that their drift is then.
+
+    Args:
+        hypotheses: Before.
+        velocity: `GapConfig.velocity`.
+        duration_s: Seconds of it.
+        distances: Normalized distance that the camera of each source likely moved.
+    """
+    moved = predict(hypotheses, Odometry.still(duration_s), velocity, distances)
+    limit_rotation(moved.covariance)
+    return moved
+
+
+def limit_rotation(covariance: Float64[np.ndarray, "n d d"]) -> None:
+    """Limit standard deviations of rotation, in place, to one at which all directions are open."""
     turned = np.arange(3, 6)
-    scale = np.ones(grown.shape[:2])
-    scale[:, turned] = np.minimum(1.0, _WIDEST_RAD / np.sqrt(grown[:, turned, turned]))
-    grown *= scale[:, :, None] * scale[:, None, :]
-    return replace(hypotheses, covariance=grown)
+    scale = np.ones(covariance.shape[:2])
+    scale[:, turned] = np.minimum(1.0, _WIDEST_RAD / np.sqrt(covariance[:, turned, turned]))
+    covariance *= scale[:, :, None] * scale[:, None, :]
 
 
 def _carried(

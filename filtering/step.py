@@ -6,7 +6,7 @@ Each stage takes a belief and gives the next one; nothing is changed in place.
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,16 +15,16 @@ from filtering.association import Correlation, correct, evidence, gate
 from filtering.belief import Belief
 from filtering.births import BIRTHS
 from filtering.cameras import CameraMemory
-from filtering.config import LocalizerConfig
+from filtering.config import GapConfig, LocalizerConfig
 from filtering.errors import VaporTrackError
 from filtering.estimate import Estimate, Mode, Status, describe_modes
-from filtering.hypotheses import Hypotheses, birth, concatenate, with_source
+from filtering.hypotheses import DRIFT, Hypotheses, birth, concatenate, with_drift, with_source
 from filtering.measurement_noise import MeasurementNoise
 from filtering.mixture_reduction import reduce_mixture
-from filtering.motion import Odometry, require_odometry
+from filtering.motion import Odometry, OdometryBias, require_odometry
 from filtering.observation import Observation, View
 from filtering.posterior import PosePosterior
-from filtering.prediction import inflate
+from filtering.prediction import across_gap
 from filtering.prediction import predict as predict_hypotheses
 from filtering.se3 import Poses
 from filtering.unchecked import unchecked_replace
@@ -64,38 +64,56 @@ def step(belief: Belief, observation: Observation, config: LocalizerConfig) -> t
 
 def predict(belief: Belief, odometry: Odometry | None, elapsed_s: float, config: LocalizerConfig) -> Belief:
     """Move the belief by odometry, or across a gap of `elapsed_s` seconds without any."""
-    hypotheses, provisional, agreement = belief.hypotheses, belief.provisional, belief.agreement
-    if hypotheses is None:
+    if belief.hypotheses is None:
         return belief
-    gap, bias = config.gap, config.odometry_bias
     if odometry is None:
-        likely_m, likely_rad = gap.speed_m_per_s * elapsed_s, gap.turn_rad_per_s * elapsed_s
-        moved = {name: camera.across_gap(likely_m, likely_rad) for name, camera in belief.cameras.items()}
-        if gap.action == "forget":  # the next informative image replaces the belief
-            provisional, agreement = True, 0.0
-        # `inflate` adds what is unknown of the motion.
-        odometry, bias = Odometry(Poses.identity(), np.zeros((6, 6)), elapsed_s), bias.without_drift
-        hypotheses = inflate(hypotheses, gap.covariance(elapsed_s))
-    else:
-        require_odometry(odometry)
-        moved = {name: camera.predict(odometry) for name, camera in belief.cameras.items()}
-    cameras = {name: camera for name, (camera, _) in moved.items()}
-    numbered = {
-        source.number: distance
-        for camera, distances in moved.values()
-        for source, distance in zip(camera.sources, distances, strict=True)
-    }
-    distances = [numbered[number] for number in sorted(numbered)]
+        return _across_gap(belief, elapsed_s, config.gap)
+    require_odometry(odometry)
+    after = {name: camera.predict(odometry) for name, camera in belief.cameras.items()}
+    hypotheses, distances = belief.hypotheses, _by_source(after)
+    if belief.drift is not None:  # a gap has ended
+        hypotheses = with_drift(hypotheses, *belief.drift)
     return unchecked_replace(
         belief,
-        hypotheses=predict_hypotheses(hypotheses, odometry, bias, distances),
-        cameras=cameras,
+        hypotheses=predict_hypotheses(hypotheses, odometry, config.odometry_bias, distances),
+        cameras={name: camera for name, (camera, _) in after.items()},
         best=None if belief.best is None else belief.best @ odometry.previous_from_current,
-        agreement=agreement,
+        drift=None,
         unseen_s=belief.unseen_s + odometry.duration_s,
-        provisional=provisional,
         normalized_distance=belief.normalized_distance + distances[0],
     )
+
+
+def _across_gap(belief: Belief, elapsed_s: float, gap: GapConfig) -> Belief:
+    """Move the belief without odometry: the drift of each hypothesis is the velocity of the camera until it returns."""
+    likely = gap.speed_m_per_s * elapsed_s, gap.turn_rad_per_s * elapsed_s
+    after = {name: camera.across_gap(*likely) for name, camera in belief.cameras.items()}
+    hypotheses, distances, drift = hypotheses_of(belief), _by_source(after), belief.drift
+    if drift is None:  # the gap begins
+        heaviest = int(np.argmax(hypotheses.log_weights))
+        drift = hypotheses.mean[heaviest, 1:7], hypotheses.covariance[heaviest, DRIFT, DRIFT]
+        hypotheses = with_drift(hypotheses, np.zeros(6), np.eye(6))
+    forgets = gap.action == "forget"
+    return unchecked_replace(
+        belief,
+        hypotheses=across_gap(hypotheses, gap.velocity, elapsed_s, distances),
+        cameras={name: camera for name, (camera, _) in after.items()},
+        drift=drift,
+        agreement=0.0 if forgets else belief.agreement,
+        unseen_s=belief.unseen_s + elapsed_s,
+        provisional=belief.provisional or forgets,
+        normalized_distance=belief.normalized_distance + distances[0],
+    )
+
+
+def _by_source(after: Mapping[str, tuple[CameraMemory, list[float]]]) -> list[float]:
+    """Distances that cameras moved, in the order of the sources in the state."""
+    numbered = {
+        source.number: distance
+        for camera, distances in after.values()
+        for source, distance in zip(camera.sources, distances, strict=True)
+    }
+    return [numbered[number] for number in sorted(numbered)]
 
 
 @dataclass(frozen=True)
@@ -115,26 +133,38 @@ class UsedView:
     agreement: float
 
 
+def follow_mount(belief: Belief, view: View) -> Belief:
+    """Move the camera of a view on its mount, where the extrinsics changed: it sees something else from there."""
+    camera = belief.cameras[view.camera]
+    if camera.has_extrinsics(view.reference_from_camera):
+        return belief
+    camera, moved = camera.moved_to(view.reference_from_camera)
+    distances = np.zeros(belief.num_sources)
+    distances[[source.number for source in camera.sources]] = moved
+    hypotheses = predict_hypotheses(hypotheses_of(belief), Odometry.still(), OdometryBias(), distances.tolist())
+    return unchecked_replace(belief.with_camera(view.camera, camera), hypotheses=hypotheses)
+
+
 def measure(belief: Belief, view: View) -> tuple[Belief, UsedView]:
     """Weight every hypothesis by an image, and correct it by each place that it may see.
 
     `evidence` decides which place, and `correct` where in it: the densities of places only split a hypothesis.
     Otherwise a wrong place with tight samples would outweigh the right one with loose samples.
     """
-    memory_before = belief.cameras[view.camera].seen_through(view.reference_from_camera)
-    memory, novelty, likelihood_power = memory_before.observe(view.posterior)
+    belief = follow_mount(belief, view)
+    before = belief.cameras[view.camera]
+    camera, novelty, likelihood_power = before.observe(view.posterior)
     # The scale of the noise includes this image.
-    posterior = view.posterior.inflated(*(source.scale.factor for source in memory.sources))
+    posterior = view.posterior.inflated(*(source.scale.factor for source in camera.sources))
     posterior = posterior.seen_from(view.reference_from_camera)
     hypotheses = hypotheses_of(belief)
-    sources = memory_before.sources
-    correlations = [Correlation(source.number, source.tracker.normalized_distance) for source in sources]
+    correlations = [Correlation(source.number, source.tracker.normalized_distance) for source in before.sources]
     pairs = gate(hypotheses, posterior, correlations)
     found = evidence(hypotheses, posterior, pairs)
     hypotheses = hypotheses.reweighted(likelihood_power * found.log_likelihood)
     hypotheses = correct(hypotheses, posterior, pairs, found.outlier).normalized()
-    belief = unchecked_replace(belief.with_camera(view.camera, memory), hypotheses=hypotheses)
-    return belief, UsedView(posterior, memory, novelty, found.agreement)
+    belief = unchecked_replace(belief.with_camera(view.camera, camera), hypotheses=hypotheses)
+    return belief, UsedView(posterior, camera, novelty, found.agreement)
 
 
 def add_births(belief: Belief, used: Sequence[UsedView], novelty: float, config: LocalizerConfig) -> Belief:
@@ -175,7 +205,8 @@ def follow_agreement(
     out_of_distribution = sum(view.posterior.is_out_of_distribution for view in views)
     if not used and not out_of_distribution:
         return belief
-    follow = min(-np.expm1(-belief.unseen_s / config.agreement_s), 1.0 / config.agreement_images)
+    per_image = 1.0 / config.agreement_images
+    follow = min(-np.expm1(-belief.unseen_s / config.agreement_s), per_image) if belief.unseen_s > 0.0 else per_image
     fits = sum(one.agreement for one in used) / (len(used) + out_of_distribution)
     agreement = belief.agreement + follow * (fits - belief.agreement)
     usual = belief.usual_agreement - np.expm1(-belief.unseen_s / _USUAL_S) * (agreement - belief.usual_agreement)
@@ -202,9 +233,9 @@ def initialize(belief: Belief, views: Sequence[View], config: LocalizerConfig) -
         informative or [view for view in views if view.posterior.is_out_of_distribution],
         not informative,
     )
-    first = next((view for view in candidates if len(view.posterior.weights)), None)
+    first = next((view for view in candidates if view.posterior.weights.any()), None)
     if first is None:
-        raise VaporTrackError("the first image has no place, expected one with at least one")
+        raise VaporTrackError("the first image has no place of any weight, expected at least one")
     agreement = 0.0 if provisional else 1.0
     new = Belief(belief.rng, agreement=agreement, usual_agreement=agreement, provisional=provisional)
     camera = CameraMemory.first_seen(first, 0, unknown=0.0, adapts=config.adapt_errors)

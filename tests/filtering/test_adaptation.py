@@ -116,7 +116,9 @@ def test_heavy_tails_that_are_modelled_are_neither_larger_nor_smaller_errors(deg
             * rng.standard_normal(6)
             / np.sqrt(rng.chisquare(degrees_of_freedom) / degrees_of_freedom)
         )
-        scale = observed(scale.predict(exact, APART), seen_at(pose @ Poses.exp(error), noise=noise))
+        scale = observed(
+            scale.predict(exact, APART), replace(seen_at(pose @ Poses.exp(error), noise=noise), calibrated=True)
+        )
         factors.append(scale.factor)
     assert 0.8 < np.mean(factors) < 1.2
 
@@ -246,10 +248,10 @@ def test_a_gap_forgets_the_place_compared_with_and_keeps_what_was_found():
     onward = motion(1.0, 0, 0, 0, 0, 0, std=np.zeros(6))  # two lengths
     source = Source.first_seen(ERRORS, 0, unknown=0.0, adapts=True).observe(seen_at(THERE))
     there = seen_at(THERE @ onward.previous_from_current @ Poses.exp(np.array([0.5, 0, 0, 0, 0, 0])))
-    source = source.predict(onward, onward)[0].observe(there)
+    source = source.predict(onward)[0].observe(there)
     assert source.scale.factor > 1.0
     after, _ = source.across_gap(0.1, 0.1)
     again = seen_at(there.means @ onward.previous_from_current)
-    compared, kept = (each.predict(onward, onward)[0].observe(again).scale for each in (source, after))
+    compared, kept = (each.predict(onward)[0].observe(again).scale for each in (source, after))
     assert compared.count > source.scale.count
     assert (kept.count, kept.factor) == (source.scale.count, source.scale.factor)

@@ -148,11 +148,10 @@ def test_a_posterior_that_is_odd_gives_a_belief_that_is_sound(odd):
         assert_sound(localizer.step(image_of(i), odometry[i]))
 
 
-def test_a_first_posterior_whose_shares_are_all_zero_begins_with_its_places():
+def test_a_first_posterior_whose_weights_are_all_zero_is_refused():
     localizer = ParticleLocalizer(None, rng=np.random.default_rng(0))
-    estimate = localizer.update(seen_at(lifted(Poses.identity(), (0.0, 3.0)), (0.0, 0.0)), None)
-    assert_sound(estimate)
-    assert [mode.weight for mode in estimate.modes] == pytest.approx([0.5, 0.5])
+    with pytest.raises(VaporTrackError, match="no place of any weight"):
+        localizer.update(seen_at(lifted(Poses.identity(), (0.0, 3.0)), (0.0, 0.0)), None)
 
 
 # --- a step that raises -----------------------------------------------------------------------------

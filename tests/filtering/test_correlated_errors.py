@@ -10,7 +10,7 @@ from filtering.config import LocalizerConfig
 from filtering.localizer import ParticleLocalizer
 from filtering.motion import Odometry, OdometryBias
 from filtering.se3 import Poses
-from tests.helpers.simulation import ERRORS, STD, image_errors, lifted, seen_at, wandering
+from tests.helpers.simulation import ERRORS, STAY, STD, image_errors, lifted, seen_at, wandering
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 
@@ -67,6 +67,21 @@ def test_any_number_of_images_of_one_view_is_worth_one_image(how, shares, count)
     for mode in estimates[-1].modes:
         assert (stds_of(mode) > 0.98 * np.sqrt(ERRORS.correlated_fraction) * STD).all()
     assert sum(estimate.novelty for estimate in estimates[1:]) < 0.05
+
+
+def test_standing_before_many_light_places_leaks_no_weight():
+    """Parts of a hypothesis that are too light go to its other parts: what is seen twice changes no weight."""
+    around = 0.25 * np.pi * np.arange(8)
+    places = np.zeros((10, 6))
+    places[1:, 0] = 10.0
+    places[2:, 0] += 3.0 * STD[0] * np.cos(around)
+    places[2:, 1] = 3.0 * STD[0] * np.sin(around)
+    seen = seen_at(Poses.exp(places), [0.42, 0.42, *[0.02] * 8])
+    localizer, weights = ParticleLocalizer(None, rng=RNG(0)), []
+    for i in range(600):
+        estimate = localizer.update(seen, STAY if i else None)
+        weights.append(np.exp(estimate.log_weights)[estimate.particles.translation[:, 0] > 5.0].sum())
+    assert weights[-1] == pytest.approx(weights[0], abs=1e-3)
 
 
 STEP_PER_S = np.array([1.0, 0, 0, 0, 0, 0.2])

@@ -39,13 +39,19 @@ def kalman_filter(step, cameras=1):
     kalman.F = np.eye(size)
     kalman.F[:3, 3:6] = -skew(step[:3])  # a rotated camera goes another way
     kalman.F[:3, 6] = -step[:3]
-    kalman.F[:6, 7:13] = -SECONDS * np.diag(SLOWLY.drift)
-    kept = np.exp(-SECONDS / SLOWLY.time_s)
+    # The drift and its integral over a step: an Ornstein-Uhlenbeck process.
+    times = SECONDS / SLOWLY.time_s
+    kept = np.exp(-times)
+    lasting = (1 - kept) / times
+    drift = SECONDS * np.array(SLOWLY.drift)
+    kalman.F[:6, 7:13] = -lasting * np.diag(drift)
     kalman.F[range(7, 13), range(7, 13)] = kept
     faded = np.exp(-np.linalg.norm(step[:3]) / ONE_PLACE.length_m)
     kalman.F[range(13, size), range(13, size)] = faded
     noise = np.concatenate([MOTION_STD**2, [0.0], np.full(6, 1 - kept**2), np.full(6 * cameras, 1 - faded**2)])
     kalman.Q = np.diag(noise)
+    kalman.Q[:6, :6] += np.diag(drift**2) * (2 * times - 3 + 4 * kept - kept**2) / times**2
+    kalman.Q[:6, 7:13] = kalman.Q[7:13, :6] = -np.diag(drift) * lasting**2 * times
     kalman.x = np.zeros((size, 1))
     kalman.P = np.eye(size)
     kalman.P[:6, :6] *= 1e3  # nothing is known of the pose

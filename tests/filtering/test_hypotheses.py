@@ -3,12 +3,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from filtering.config import GapConfig
 from filtering.errors import VaporTrackError
-from filtering.hypotheses import BIAS, POSE, Hypotheses, birth, concatenate, correlated_error, log_sum
+from filtering.hypotheses import BIAS, POSE, Hypotheses, birth, concatenate, correlated_error, log_sum, with_drift
 from filtering.measurement_noise import MeasurementNoise
 from filtering.mixture_reduction import reduce_mixture
 from filtering.motion import Odometry, OdometryBias
-from filtering.prediction import inflate, motion_of_state, predict
+from filtering.prediction import across_gap, motion_of_state, predict
 from filtering.se3 import Poses
 from tests.helpers.simulation import motion, seen_at
 
@@ -90,14 +91,18 @@ def test_what_moves_is_what_happens_to_draws_of_the_state():
     count = 40_000
     draws = rng.standard_normal((count, 19)) @ np.linalg.cholesky(h.covariance[0]).T
     states = h.mean[0] + draws[:, 6:]
-    errs = (
-        -np.hstack([states[:, :1] * step.previous_from_current.log()[:3], np.zeros((count, 3))])
-        - states[:, 1:7] * np.array(slow.drift) * 0.8
-    )
+    drift, drifted, parts = states[:, 1:7], np.zeros((count, 6)), 50
+    for _ in range(parts):  # it changes on the way
+        before, kept = drift, np.exp(-0.8 / parts / 5.0)
+        drift = kept * drift + np.sqrt(1 - kept**2) * rng.standard_normal((count, 6))
+        drifted += (before + drift) / 2.0 * np.array(slow.drift) * 0.8 / parts
+    scaled = np.hstack([states[:, :1] * step.previous_from_current.log()[:3], np.zeros((count, 3))])
+    errs = -scaled - drifted
     white = rng.standard_normal((count, 6)) @ np.linalg.cholesky(covariance).T
     poses = h.poses[[0] * count] @ Poses.exp(draws[:, :6]) @ step.previous_from_current @ Poses.exp(errs + white)
-    kept = np.concatenate([[1.0], np.full(6, np.exp(-0.8 / 5.0)), np.full(6, np.exp(-0.6))])
-    states = kept * states + np.sqrt(1 - kept**2) * rng.standard_normal((count, 13))
+    faded = np.exp(-0.6)
+    correlated = faded * states[:, 7:] + np.sqrt(1 - faded**2) * rng.standard_normal((count, 6))
+    states = np.hstack([states[:, :1], drift, correlated])
 
     drawn = np.hstack([(after.poses[0].inverse() @ poses).log(), states - after.mean[0]])
     std = np.sqrt(np.diag(after.covariance[0]))
@@ -115,13 +120,9 @@ def test_many_hypotheses_move_as_the_transition_of_the_state_says():
     np.testing.assert_allclose(after, transition @ h.covariance @ transition.T + noise, atol=1e-12)
 
 
-def test_an_unknown_motion_adds_its_covariance_and_no_direction_is_known_less_than_none():
-    h = bank(2)
-    growth = np.diag([0.25] * 3 + [0.01] * 3)
-    grown = inflate(h, growth)
-    np.testing.assert_allclose(grown.pose_covariance, h.pose_covariance + growth)
-    np.testing.assert_array_equal(grown.covariance[:, 6:, 6:], h.covariance[:, 6:, 6:])
-    wide = inflate(h, np.diag([1e6] * 3 + [9e4] * 3))
+def test_no_direction_is_known_less_than_none_after_an_unknown_motion():
+    velocity = GapConfig(speed_m_per_s=1e3, turn_rad_per_s=300.0).velocity
+    wide = across_gap(with_drift(bank(2), np.zeros(6), np.eye(6)), velocity, 1.0, [1.0])
     np.testing.assert_allclose(np.sqrt(wide.covariance[0, range(3, 6), range(3, 6)]), 2.0)
     assert np.linalg.eigvalsh(wide.covariance).min() > -1e-9
 

@@ -225,5 +225,28 @@ def test_a_belief_over_an_unknown_motion_is_as_wide_as_the_time_is_long():
     widths = [localizer.predicted(None, elapsed_s=s).modes[0].widest_std_m for s in (0.0, 0.5, 2.0)]
     assert widths[0] < 0.2
     speed = localizer.config.gap.speed_m_per_s
-    np.testing.assert_allclose(widths[1:], [0.5 * speed, 2.0 * speed], rtol=0.02)
+    np.testing.assert_allclose(widths[1:], [0.5 * speed, 2.0 * speed], rtol=0.08)  # speeds change in five seconds
     assert localizer.predicted(None, elapsed_s=2.0).status == "ambiguous"
+
+
+def test_places_of_no_weight_change_nothing():
+    one, other = new_localizer(), new_localizer()
+    far = Poses.exp(np.array([[20.0, 0, 0, 0, 0, 0]]))
+    for i in range(30):
+        here = Poses.exp(np.array([[0.1 * i, 0, 0, 0, 0, 0]]))
+        step = motion(0.1, 0, 0, 0, 0, 0)
+        both = seen_at(Poses.concatenate([here, far]), (1.0, 0.0))
+        assert_same_belief(one.update(both, step), other.update(seen_at(here), step), atol=0)
+    assert_same_belief(one.update(seen_at(far, (0.0,)), AHEAD), other.predict(AHEAD), atol=0)
+    with pytest.raises(VaporTrackError, match="no place of any weight"):
+        new_localizer().update(seen_at(far, (0.0,)), None)
+
+
+def test_images_without_any_time_between_them_still_show_that_the_camera_is_elsewhere():
+    """Odometry whose durations are unknown states 0 s: the images count, not the seconds."""
+    localizer = new_localizer(birth_rate=0.0, max_birth_rate=0.0)
+    for i in range(40):
+        there = Poses.exp(np.array([[0.05 * i + 50.0 * (i >= 20), 0, 0, 0, 0, 0]]))
+        estimate = localizer.update(seen_at(there), motion(0.05, 0, 0, 0, 0, 0, duration_s=0.0))
+        assert i != 19 or estimate.status == "converged"
+    assert estimate.status == "lost"

@@ -27,13 +27,15 @@ BACK = Poses.exp(np.array([-0.3, 0.1, 0.1, 0, 0, np.pi - 0.2]))
 
 
 def test_a_camera_on_a_rig_says_of_the_rig_what_it_says_of_itself_carried_over():
+    # Turned only: with a lever arm the camera moves another distance than the rig.
+    turned = Poses.exp(np.array([0, 0, 0, 0, 0, np.pi - 0.2]))
     rig, alone = new_localizer(), new_localizer()
     rng, pose = RNG(0), Poses.identity()
     for _ in range(15):
         pose = pose @ AHEAD.previous_from_current
-        posterior = seen_at(pose @ BACK @ Poses.exp(STD * rng.standard_normal(6)))
-        one = rig.update([View(posterior, BACK, "camera")], AHEAD)
-        other = alone.update(posterior.seen_from(BACK), AHEAD)
+        posterior = seen_at(pose @ turned @ Poses.exp(STD * rng.standard_normal(6)))
+        one = rig.update([View(posterior, turned, "camera")], AHEAD)
+        other = alone.update(posterior.seen_from(turned), AHEAD)
         assert_same_belief(one, other, atol=1e-12)
         assert one.status == other.status
     assert one.modes[0].world_from_camera.distance(pose)[0] < 0.3
@@ -65,6 +67,16 @@ def test_two_views_of_one_camera_at_one_moment_are_refused():
     view = View(seen_at(Poses.identity(1)), FRONT, "front")
     with pytest.raises(VaporTrackError, match="views of cameras front, front, expected each once"):
         new_localizer().update([view, view], None)
+
+
+def test_a_camera_that_turns_on_its_mount_sees_something_new():
+    localizer, novelty = new_localizer(), []
+    for i in range(60):  # two turns
+        mount = Poses.exp(np.array([0, 0, 0, 0, 0, 2 * np.pi * i / 30]))
+        estimate = localizer.update([View(seen_at(mount), mount, "turret")], STAY)
+        novelty.append(estimate.novelty)
+    assert sum(novelty[1:30]) == pytest.approx(2 * np.pi * 29 / 30 / ERRORS.length_rad, rel=0.05)
+    assert sum(novelty[31:]) < 1.0  # the second turn shows the same again
 
 
 def test_no_view_at_all_is_a_prediction():

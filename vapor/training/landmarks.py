@@ -183,8 +183,9 @@ class HeldOutLandmarks:
         effective = effective_images(travel, correlation)
         verification, wrong = fit_verification(seen, effective, landmarks.verification), none_right(seen, effective)
         weights = evidence(seen, verification, wrong, noise.possible_fraction)
-        lengths = ErrorCorrelation(1.0, own.length_m, own.length_rad)
-        mistaken = max(outlier_lengths(weights, travel, lengths), _NEW_VIEW * depth_m / own.length_m)
+        new_view_m = _NEW_VIEW * depth_m  # mistakes last as long as views, not as errors of millimetres
+        views = ErrorCorrelation(1.0, new_view_m, _NEW_VIEW)
+        mistaken = outlier_lengths(weights, travel, views) * new_view_m / own.length_m
         return replace(held, verification=verification, none_right=wrong, outlier_lengths=mistaken)
 
     def found(self, images: TrainingSet, row: int, posterior: PosePosterior) -> list[VerifiedPose]:
