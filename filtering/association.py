@@ -25,7 +25,8 @@ _GATE = 36.0  # times the summed variances of position, and of rotation: a coars
 PLACE = 3.0
 """Standard deviations of the error: finer details do not distinguish places."""
 _LEAST = 1e-3  # fraction of a hypothesis that goes on as one of its own; smaller ones go to its other parts
-_UNUSUAL = 1.25  # factor of the variance from which on the error is taken as one of its own
+UNUSUAL = 1.25
+"""Factor of the variance from which on an error is taken as one of its own."""
 
 
 class Pairs(NamedTuple):
@@ -176,7 +177,7 @@ def pair(
     # However little is known about where the camera is, it is in the map.
     log_density = np.maximum(log_peak, posterior.noise.log_clutter_density) - (nu + 6) / 2 * np.log1p(squared / nu)
     larger = (nu + squared) / (nu + 6)
-    far = np.flatnonzero(larger > _UNUSUAL)
+    far = np.flatnonzero(larger > UNUSUAL)
     if len(far):
         # Errors that are correlated over a distance of 2 are worth one image: those of an Ornstein-Uhlenbeck process.
         lasts = max(1.0, 2.0 / max(correlation.normalized_distance, 1e-6))

@@ -133,6 +133,18 @@ class PosePosterior:
         none = Poses.identity(0)
         return PosePosterior(none, np.zeros((0, 6, 6)), np.zeros(0), noise or MeasurementNoise(), samples or none)
 
+    def heaviest(self, count: int) -> PosePosterior:
+        """The same with the heaviest places only, at most so many, by falling weight, and without samples."""
+        kept = np.argsort(-self.weights, kind="stable")[:count]
+        return unchecked_replace(
+            self,
+            means=self.means[kept],
+            covariances=self.covariances[kept],
+            weights=self.weights[kept],
+            samples=self.means[kept],
+            verified=None if self.verified is None else self.verified[kept],
+        )
+
     def without_places(self) -> PosePosterior:
         """The same without any place, with its score."""
         return replace(PosePosterior.uninformative(self.noise, self.samples), ood_score=self.ood_score)

@@ -29,8 +29,8 @@ LOCALIZING = tuple(method for method in METHODS if method != "dead_reckoning")
 OURS = "filter"
 """The method that the benchmarks are about."""
 
-BELIEVING = (OURS, *BASELINES)
-"""Methods that state their confidence after every image."""
+BELIEVING = (OURS, *BASELINES, "smoothed")
+"""Methods that state their confidence about every image."""
 
 
 def label(method: str) -> str:
@@ -45,7 +45,7 @@ def short_label(method: str) -> str:
 
 def all_poses(followed: Followed) -> dict[str, Poses]:
     """Poses of every method by its name in `METHODS`, world_from_camera, (n,) each."""
-    return followed.poses | followed.poses_at_end()
+    return followed.poses | {"smoothed": followed.smoothed.best}
 
 
 def evaluate_methods(
@@ -105,7 +105,7 @@ def evaluate_methods(
             kidnap_index=followed.kidnap_index,
             storey_height_m=storey_height_m,
         )
-        for name, each in followed.beliefs.items()
+        for name, each in {**followed.beliefs, "smoothed": followed.smoothed}.items()
     }
     return {
         "images": len(at),

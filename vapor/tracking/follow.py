@@ -12,6 +12,7 @@ from jaxtyping import Int64
 
 from filtering.config import LocalizerConfig
 from filtering.estimate import Estimate, Mode
+from filtering.hindsight import FilterStep, Hindsight
 from filtering.measurement_noise import MeasurementNoise
 from filtering.motion import Odometry
 from filtering.observation import Observation
@@ -19,8 +20,9 @@ from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from sequences.odometry_fit.result import OdometryFit
 from vapor.tracking.ablations import ABLATIONS, Ablation
-from vapor.tracking.loop import Belief, History, StepLoop, elapsed_s, mode_status
-from vapor.tracking.methods import BASELINES, poses_at_end, start_baselines
+from vapor.tracking.hindsight import hindsight_of, smoothed_belief
+from vapor.tracking.loop import Belief, StepLoop, elapsed_s, mode_status
+from vapor.tracking.methods import BASELINES, start_baselines
 
 
 def dead_reckoning(first_pose: Poses, odometry: Sequence[Odometry | None]) -> Poses:
@@ -95,7 +97,7 @@ class Followed:
     config: LocalizerConfig
     beliefs: dict[str, Belief]
     image_modes: tuple[tuple[Mode, ...], ...]
-    history: History
+    steps: tuple[FilterStep, ...]
     particles: int
     step_ms: float
     kidnap_index: int | None
@@ -109,9 +111,15 @@ class Followed:
             **{name: belief.best for name, belief in self.beliefs.items()},
         }
 
-    def poses_at_end(self) -> dict[str, Poses]:
-        """Poses of every method that sees the whole segment at once, by name, world_from_camera, (n,) each."""
-        return poses_at_end(self.history, self.noise, self.config)
+    @cached_property
+    def hindsight(self) -> Hindsight:
+        """The whole segment in hindsight."""
+        return hindsight_of(self.steps, self.noise, self.config)
+
+    @cached_property
+    def smoothed(self) -> Belief:
+        """The belief about each image in hindsight."""
+        return smoothed_belief(self.hindsight, self.steps, self.segment.times_ns, self.noise, self.config)
 
 
 def follow(
@@ -133,7 +141,7 @@ def follow(
     """
     localizer = ablation.start(config, rng=rng, kidnap_index=kidnap_index)
     loop = StepLoop(localizer, start_baselines(config, lambda: rng, only=baselines))
-    history = History()
+    steps: list[FilterStep] = []
     estimates: list[Estimate] = []
     image_modes: list[tuple[Mode, ...]] = []
     of_baselines: dict[str, list[tuple[Mode, ...]]] = {}
@@ -145,7 +153,7 @@ def follow(
         begin = time.perf_counter()
         observation = Observation.of_posterior(segment.posterior(i), odometry, elapsed_s(before_ns, time_ns))
         step = loop.step(observation, observe_ms=1e3 * (time.perf_counter() - begin))
-        history.add(step)
+        steps.append(FilterStep.of(observation, step.estimate))
         estimates.append(step.estimate)
         image_modes.append(step.image_modes)
         for name, modes in step.baselines.items():
@@ -163,7 +171,7 @@ def follow(
         config,
         beliefs,
         tuple(image_modes),
-        history,
+        tuple(steps),
         int(np.median([len(each.particles) for each in estimates])),
         float(np.median(step_ms)),
         kidnap_index,

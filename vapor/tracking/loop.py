@@ -4,18 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Protocol, runtime_checkable
 
 from filtering.estimate import Estimate, Mode, Status, posterior_modes
-from filtering.motion import Odometry
 from filtering.observation import Observation
 from filtering.se3 import Poses
-
-MOST_MODES = 16
-"""Kept of each image, the heaviest: enough for a place among many alike, and bounded in memory over a long run."""
-
 
 @runtime_checkable
 class Localizer(Protocol):
@@ -44,7 +39,6 @@ class Step:
         estimate: The filter's estimate.
         image_modes: Places of the image's posterior alone, by falling weight. Where it has none: those of the last
             image with any; before that, the filter's modes.
-        evidence: Places of the image's posterior for the smoother; none of an uninformative image.
         baselines: Hypotheses of every baseline by its name, the best one first.
         step_ms: Wall-clock milliseconds of posterior and filter together, without the baselines.
     """
@@ -52,7 +46,6 @@ class Step:
     observation: Observation
     estimate: Estimate
     image_modes: tuple[Mode, ...]
-    evidence: tuple[Mode, ...]
     baselines: Mapping[str, tuple[Mode, ...]]
     step_ms: float
 
@@ -81,7 +74,6 @@ class StepLoop:
             observation,
             estimate,
             self._image_modes,
-            () if posterior.is_uninformative else places,
             {name: each.modes if isinstance(each, Estimate) else (each,) for name, each in followed.items()},
             step_ms,
         )
@@ -109,22 +101,3 @@ def mode_status(mode: Mode, converged_std_m: float, converged_weight: float) -> 
     """The status of a baseline, by the weight and the position of its best mode."""
     sure = mode.widest_std_m <= converged_std_m and mode.weight >= converged_weight
     return "converged" if sure else "ambiguous"
-
-
-@dataclass(frozen=True)
-class History:
-    """The steps of n images, without posterior samples and particles; `filtered` are the filter's best modes."""
-
-    evidence: list[tuple[Mode, ...]] = field(default_factory=list)
-    odometry: list[Odometry | None] = field(default_factory=list)
-    normalized_distances: list[float] = field(default_factory=list)
-    filtered: list[Poses] = field(default_factory=list)
-    converged: list[bool] = field(default_factory=list)
-
-    def add(self, step: Step) -> None:
-        """Append one image."""
-        self.evidence.append(step.evidence[:MOST_MODES])
-        self.odometry.append(step.observation.odometry)
-        self.normalized_distances.append(step.estimate.normalized_distance)
-        self.filtered.append(step.estimate.modes[0].world_from_camera)
-        self.converged.append(step.estimate.status == "converged")

@@ -14,9 +14,7 @@ import numpy as np
 
 from filtering.config import LocalizerConfig
 from filtering.localizer import ParticleLocalizer
-from filtering.measurement_noise import MeasurementNoise
-from filtering.se3 import Poses
-from vapor.tracking.loop import History, Tracker
+from vapor.tracking.loop import Tracker
 
 GAUSSIANS = 15
 """Gaussians of the Gaussian sum."""
@@ -41,21 +39,6 @@ def gaussian_sum(config: LocalizerConfig) -> LocalizerConfig:
     return replace(config, **rates, births="rate", max_hypotheses=GAUSSIANS, resampling="heaviest")
 
 
-def smooth_history(history: History, noise: MeasurementNoise, config: LocalizerConfig) -> Poses:
-    """Smoothed poses of a run, world_from_camera, (n,); of the settings only odometry bias are used."""
-    from filtering.smoothing import SMOOTHED_MODES, SmoothingConfig, smooth  # loads GTSAM, which takes a while
-
-    return smooth(
-        [modes[:SMOOTHED_MODES] for modes in history.evidence],
-        history.odometry,
-        np.array(history.normalized_distances),
-        Poses.stack(history.filtered),
-        np.array(history.converged, bool),
-        noise,
-        SmoothingConfig(odometry_bias=config.odometry_bias),
-    )
-
-
 Of = TypeVar("Of")
 
 
@@ -71,7 +54,6 @@ class Method:
         short_label: A shorter name for narrow columns.
         error_curve: Whether it is in the picture of errors over time, which has room for few curves.
         tracker: Makes the `Tracker` of a method that goes from image to image.
-        at_end: Computes the poses (n,) of a method that sees the whole run at once.
     """
 
     label: str
@@ -81,7 +63,6 @@ class Method:
     short_label: str = ""
     error_curve: bool = True
     tracker: Callable[[LocalizerConfig, np.random.Generator], Tracker] | None = None
-    at_end: Callable[[History, MeasurementNoise, LocalizerConfig], Poses] | None = None
 
     @property
     def can_converge(self) -> bool:
@@ -103,12 +84,13 @@ METHODS: Mapping[str, Method] = MappingProxyType(
             tracker=_gaussian_sum,
         ),
         "filter": Method("particle filter", "trajectory.tum", "#0072b2", "ours"),
-        "smoothed": Method("smoothed", "smoothed.tum", "#009e73", "ours", error_curve=False, at_end=smooth_history),
+        "smoothed": Method("smoothed", "smoothed.tum", "#009e73", "ours", error_curve=False),
     }
 )
 """The methods by their names in results and code, in the order of a report.
 
-The step loop itself gives the poses of the filter and of single images. Dead reckoning is computed where a first pose
+The step loop itself gives the poses of the filter and of single images, and `vapor.tracking.hindsight` the smoothed
+ones. Dead reckoning is computed where a first pose
 is known: in the recorder of a run, or in a segment.
 """
 
@@ -124,11 +106,6 @@ def start_baselines(
 ) -> dict[str, Tracker]:
     """Trackers of the baselines named in `only`, each with its source of random draws."""
     return {name: method.tracker(config, rng()) for name, method in METHODS.items() if method.tracker and name in only}
-
-
-def poses_at_end(history: History, noise: MeasurementNoise, config: LocalizerConfig) -> dict[str, Poses]:
-    """Poses (n,) of the methods that see a whole run of n images at once, by name."""
-    return {name: method.at_end(history, noise, config) for name, method in METHODS.items() if method.at_end}
 
 
 def in_order(of_methods: Mapping[str, Of]) -> dict[str, Of]:

@@ -93,7 +93,7 @@ def check(
         if not (found.worse or found.overconfident):
             break
     assert found is not None
-    smoothed = [each.poses_at_end()["smoothed"] for each in followed]
+    smoothed = [each.hindsight.best.poses for each in followed]
     found = replace(found, methods={**found.methods, "smoothed": _figures(followed, smoothed)})
     return replace(found, verdict=verdict(found, result)), replace(fitted, errors=kept)
 

@@ -17,7 +17,7 @@ from sequences.outputs import claim_folder
 from sequences.reader import SequenceReader
 from vapor.benchmark import PROGRAM
 from vapor.benchmark.commands.options import SceneOptions, Scenes, described, require_each_once, write_summary
-from vapor.benchmark.evaluation import BELIEVING, OURS, short_label
+from vapor.benchmark.evaluation import OURS, short_label
 from vapor.benchmark.faults import table
 from vapor.benchmark.faults.metrics import summarise_faults
 from vapor.benchmark.faults.runs import Chosen, choose_recorded, choose_synthetic, record, run_fault, runs_of
@@ -29,6 +29,7 @@ from vapor.benchmark.recordings.storage import load_recording
 from vapor.benchmark.trials.setup import Setup, TrialsConfig
 from vapor.commands.console import parse, show
 from vapor.pipeline.batch import unique_names
+from vapor.tracking.methods import BASELINES
 
 _FAULTS = (
     "What breaks, for five seconds unless stated otherwise."
@@ -147,7 +148,7 @@ def _partial(walks: Sequence[RecordedWalk], directory: Path) -> dict[str, dict[s
 
 def fault_tables(summary: Mapping[str, Mapping[str, Aggregate]]) -> Iterator[Table]:
     """Per scene: how well the methods do without a fault, and with each."""
-    others = [method for method in BELIEVING if method != OURS]
+    others = [*BASELINES]
     labels = [short_label(method) for method in others]
 
     def share(key: str, digits: int = 0) -> Callable[[Aggregate], str]:

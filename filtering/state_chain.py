@@ -1,0 +1,309 @@
+"""A chain of the filter's states over the images of a trajectory, solved by GTSAM: poses and covariances in hindsight.
+
+A state is that of a hypothesis (the error of the pose, odometry bias, and the correlated error of each source of
+places) and the constant error of the images, which is one more that never fades. Transitions and measurements are the
+filter's, so that both have one model. Gauss-Newton linearises them, and GTSAM eliminates the chain.
+
+Sources: Dellaert and Kaess, "Factor graphs for robot perception", 2017 (elimination, marginals, § 7.3 fixed-lag
+smoothing); Olson and Agarwal, "Inference on networks of mixtures", 2013 (max-mixture: the most probable place counts).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import gtsam
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+from scipy.linalg import solve_triangular
+from scipy.special import gammaln
+
+from filtering.association import UNUSUAL
+from filtering.hypotheses import BIAS, DRIFT, POSE, correlated_error
+from filtering.measurement_noise import MeasurementNoise
+from filtering.motion import Odometry, OdometryBias
+from filtering.posterior import PosePosterior
+from filtering.prediction import motion_of_state
+from filtering.se3 import Poses
+
+_EXACT = 1e-6  # of a variance: what is known exactly keeps so much
+_UNKNOWN = 1e4  # ordinary variances of an image: a pose before its first
+_MOST_ROUNDS = 10
+_SETTLED = 0.01  # ordinary standard deviations
+
+
+class Transition(NamedTuple):
+    """The transition of a state from an image to the next.
+
+    Attributes:
+        previous_from_current: The motion of the pose, one pose.
+        matrix: Of the rest: the state after it is matrix · state + noise, (d, d).
+        root_information: A matrix W with WᵀW the inverse covariance of the noise, (d, d).
+    """
+
+    previous_from_current: Poses
+    matrix: Float64[np.ndarray, "d d"]
+    root_information: Float64[np.ndarray, "d d"]
+
+
+class Prior(NamedTuple):
+    """A Gaussian over a state: W (ξ, m − mean) = rest, with a unit covariance.
+
+    Attributes:
+        pose: world_from_camera, from which ξ is the error, one pose.
+        mean: Of the other parts of the state, (d − 6,).
+        root_information: W, (d, d).
+        rest: (d,).
+    """
+
+    pose: Poses
+    mean: Float64[np.ndarray, " m"]
+    root_information: Float64[np.ndarray, "d d"]
+    rest: Float64[np.ndarray, " d"]
+
+
+@dataclass(frozen=True)
+class Chain:
+    """The estimated states of n images.
+
+    Attributes:
+        poses: world_from_camera, batch (n,).
+        mean: Of the other parts of the states, (n, d − 6).
+    """
+
+    poses: Poses
+    mean: Float64[np.ndarray, "n m"]
+
+
+def unknown_prior(pose: Poses, noise: MeasurementNoise, odometry_bias: OdometryBias, num_sources: int) -> Prior:
+    """The state at the first image, before it: the pose is as good as unknown.
+
+    Args:
+        pose: About which the pose is sought, one pose.
+        noise: Noise of the images.
+        odometry_bias: Of the odometry.
+        num_sources: Number of the sources of places.
+    """
+    size = 13 + 6 * (num_sources + 1)
+    variance = np.ones(size)
+    variance[POSE] = _UNKNOWN * np.square(noise.typical_std)
+    variance[BIAS.start] = max(odometry_bias.scale, 1e-6) ** 2
+    return Prior(pose, np.zeros(size - 6), np.diag(1.0 / np.sqrt(variance)), np.zeros(size))
+
+
+def transition(
+    odometry: Odometry,
+    odometry_bias: OdometryBias,
+    distances: Sequence[float],
+    noise: MeasurementNoise,
+    *,
+    new_drift: bool = False,
+) -> Transition:
+    """The transition of a state by a motion, see `motion_of_state`.
+
+    Args:
+        odometry: The motion.
+        odometry_bias: Its bias.
+        distances: Normalized distance that the camera of each source moved.
+        noise: Noise of the images.
+        new_drift: Whether the drift is another one from here on, as at both ends of a gap in the odometry.
+    """
+    matrix, covariance = motion_of_state(odometry, odometry_bias, [*distances, 0.0])
+    if new_drift:  # the drift of this motion is independent of the one before
+        own = matrix[:, DRIFT].copy()
+        covariance = covariance + own @ own.T
+        matrix[:, DRIFT] = 0.0
+    exact = np.full(len(matrix), _EXACT)
+    exact[POSE] *= np.square(noise.typical_std)
+    exact[BIAS.start] *= max(odometry_bias.scale, 1e-6) ** 2
+    covariance[np.arange(len(matrix)), np.arange(len(matrix))] += exact
+    factor = np.linalg.cholesky(covariance)
+    root = solve_triangular(factor, np.eye(len(matrix)), lower=True, check_finite=False)
+    return Transition(odometry.previous_from_current, matrix, root)
+
+
+class Places:
+    """The places of n images as arrays, k places in all.
+
+    Args:
+        posteriors: Of the images.
+        moved: Normalized distance that the camera moved since the image before, by source, (n, s).
+        noise: Of each image, n; for its constant errors.
+    """
+
+    def __init__(
+        self,
+        posteriors: Sequence[PosePosterior],
+        moved: Float64[np.ndarray, "n s"],
+        noise: Sequence[MeasurementNoise],
+    ) -> None:
+        images, sources, parts, constants = [], [], [], []
+        self._constant = correlated_error(moved.shape[1])
+        for i, posterior in enumerate(posteriors):
+            if posterior.is_uninformative:
+                continue
+            for source, own in enumerate(posterior.sources):
+                if len(own):
+                    images.append(np.full(len(own), i))
+                    sources.append(np.full(len(own), source))
+                    of_source = posterior.noise_of(source)
+                    constants.append(noise[i].constant_covariance(posterior.covariances[own]))
+                    numbers = [of_source.degrees_of_freedom, of_source.correlated_fraction]
+                    numbers += [posterior.outlier_probability, posterior.noise.log_clutter_density]
+                    parts.append((posterior.means[own], posterior.covariances[own], posterior.factors[own],
+                                  posterior.weights[own], np.tile(numbers, (len(own), 1))))  # fmt: skip
+        self.image = np.concatenate(images) if images else np.zeros(0, np.int64)
+        self.source = np.concatenate(sources) if sources else np.zeros(0, np.int64)
+        self._kept = np.exp(-moved)
+        if not parts:
+            self.poses = Poses.identity(0)
+            return
+        along = np.cumsum(moved, axis=0)
+        self._since = moved.copy()  # since the last image with places of the source
+        for source in range(moved.shape[1]):
+            own = np.unique(self.image[self.source == source])
+            self._since[own[1:], source] = np.diff(along[own, source])
+        means, covariances, factors, weights, numbers = zip(*parts, strict=True)
+        self.poses = Poses.concatenate(list(means))
+        self.covariance, weight = np.concatenate(covariances), np.concatenate(weights)
+        self.degrees_of_freedom, self.fraction, outlier, self._log_clutter = np.concatenate(numbers).T
+        self._constant_factor = np.sqrt(np.concatenate(constants))  # diagonal
+        self.factor = np.sqrt(self.fraction)[:, None, None] * np.concatenate(factors)
+        self._information = np.linalg.inv(self.covariance)
+        nu = self.degrees_of_freedom
+        self._log_peak = (
+            gammaln((nu + 6) / 2)
+            - gammaln(nu / 2)
+            - 3 * np.log(nu * np.pi)
+            - 0.5 * np.linalg.slogdet(self.covariance)[1]
+        )
+        self._log_weight = np.log(np.maximum(weight, 1e-300)) + np.log1p(-outlier)
+        self._log_outlier = np.log(outlier) + self._log_clutter
+        self._first = np.flatnonzero(np.diff(self.image, prepend=-1))
+
+    def choose(self, chain: Chain) -> Int64[np.ndarray, " c"]:
+        """The most probable place of each image, where any is more probable than none of them."""
+        if len(self.poses) == 0:
+            return np.zeros(0, np.int64)
+        residual = chain.poses[self.image].between(self.poses).log()
+        nu, squared = self.degrees_of_freedom, np.einsum("ki,kij,kj->k", residual, self._information, residual)
+        log_density = np.maximum(self._log_peak, self._log_clutter) - (nu + 6) / 2 * np.log1p(squared / nu)
+        log_seen = self._log_weight + log_density
+        chosen = np.lexsort((-log_seen, self.image))[self._first]
+        return chosen[log_seen[chosen] > self._log_outlier[chosen]]
+
+    def enlarged(self, chain: Chain, chosen: Int64[np.ndarray, " c"]) -> Float64[np.ndarray, " c"]:
+        """Factor of the variance of the error of each place chosen: 1 of a usual one, see `filtering.association`."""
+        image, source = self.image[chosen], self.source[chosen]
+        residual = chain.poses[image].between(self.poses[chosen]).log()
+        own = (7 + 6 * source)[:, None] + np.arange(6)
+        known = self._kept[image, source][:, None] * chain.mean[np.maximum(image - 1, 0)[:, None], own]
+        first = image == 0
+        known[first] = 0.0
+        constant = chain.mean[image][:, slice(self._constant.start - 6, self._constant.stop - 6), None]
+        of_errors = self.factor[chosen] @ known[:, :, None] + self._constant_factor[chosen] @ constant
+        innovation = residual - of_errors[:, :, 0]
+        lasting = np.where(first, 0.0, np.exp(-2.0 * self._since[image, source]))
+        variance = 1.0 - self.fraction[chosen] * lasting
+        squared = np.einsum("ki,kij,kj->k", innovation, self._information[chosen], innovation) / variance
+        nu = self.degrees_of_freedom[chosen]
+        larger = (nu + squared) / (nu + 6)
+        return np.where(larger > UNUSUAL, larger, 1.0)
+
+    def measurements(
+        self, chain: Chain, chosen: Int64[np.ndarray, " c"], larger: Float64[np.ndarray, " c"]
+    ) -> tuple[Float64[np.ndarray, "c 6 d"], Float64[np.ndarray, "c 6"]]:
+        """Jacobian and value of each place chosen as a measurement of the state, in units of its error."""
+        image, source = self.image[chosen], self.source[chosen]
+        residual = chain.poses[image].between(self.poses[chosen]).log()
+        jacobian = np.zeros((len(chosen), 6, 6 + chain.mean.shape[1]))
+        jacobian[:, :, POSE] = np.eye(6)
+        jacobian[:, :, self._constant] = self._constant_factor[chosen]
+        usual = larger == 1.0
+        for number in np.unique(source).tolist():
+            of = np.flatnonzero(usual & (source == number))
+            jacobian[of, :, correlated_error(number)] = self.factor[chosen[of]]
+        # Errors that are correlated over a distance of 2 are worth one image: those of an Ornstein-Uhlenbeck process.
+        lasts = np.maximum(1.0, 2.0 / np.maximum(self._since[image, source], 1e-6))
+        scale = np.where(usual, 1.0 - self.fraction[chosen], larger * lasts)
+        whiten = np.linalg.inv(np.linalg.cholesky(scale[:, None, None] * self.covariance[chosen]))
+        return whiten @ jacobian, (whiten @ residual[:, :, None])[:, :, 0]
+
+
+def solve(
+    start: Poses, prior: Prior, transitions: Sequence[Transition], places: Places, noise: MeasurementNoise
+) -> tuple[Chain, Float64[np.ndarray, "n 6 6"]]:
+    """The most probable states of n images, and the covariance of each pose.
+
+    Args:
+        start: world_from_camera at which the search begins, batch (n,).
+        prior: Of the first.
+        transitions: Between them, n − 1.
+        places: Of the images.
+        noise: Noise of the images.
+    """
+    chain = Chain(start, np.tile(prior.mean, (len(start), 1)))
+    std, chosen, larger = np.asarray(noise.typical_std), np.zeros(0, np.int64), np.zeros(0)
+    for number in range(_MOST_ROUNDS):
+        before, chosen = chosen, places.choose(chain)
+        larger = places.enlarged(chain, chosen) if number else np.ones(len(chosen))
+        graph = linearised(chain, prior, transitions, places, chosen, larger)
+        chain, moved = updated(chain, graph.optimize())
+        if number and np.array_equal(before, chosen) and (np.abs(moved) < _SETTLED * std).all():
+            break
+    graph = linearised(chain, prior, transitions, places, chosen, larger)
+    solution = graph.optimize()
+    marginals = gtsam.Marginals(graph, solution)
+    covariance = np.stack([marginals.marginalCovariance(i)[POSE, POSE] for i in range(len(start))])
+    return chain, covariance
+
+
+def linearised(
+    chain: Chain,
+    prior: Prior,
+    transitions: Sequence[Transition],
+    places: Places,
+    chosen: Int64[np.ndarray, " c"],
+    larger: Float64[np.ndarray, " c"],
+) -> gtsam.GaussianFactorGraph:
+    """Factors of the changes of the states: of the error ξ of each pose, and of the other parts."""
+    graph = gtsam.GaussianFactorGraph()
+    size = 6 + chain.mean.shape[1]
+    whole, of_place = gtsam.noiseModel.Unit.Create(size), gtsam.noiseModel.Unit.Create(6)
+    off = np.concatenate([prior.pose.between(chain.poses[0]).log(), chain.mean[0] - prior.mean])
+    graph.add(gtsam.JacobianFactor(0, prior.root_information, prior.rest - prior.root_information @ off, whole))
+    if transitions:
+        steps = Poses.stack([each.previous_from_current for each in transitions])
+        matrices = np.stack([each.matrix for each in transitions])
+        roots = np.stack([each.root_information for each in transitions])
+        errs = (matrices[:, POSE, BIAS] @ chain.mean[:-1, :7, None])[:, :, 0]
+        expected = chain.poses[:-1] @ (steps @ Poses.exp(errs))
+        off = np.empty((len(transitions), size))
+        off[:, POSE] = chain.poses[1:].between(expected).log()
+        rest = np.einsum("nii->ni", matrices)[:, 6:]
+        off[:, 6:] = rest * chain.mean[:-1] - chain.mean[1:]
+        before, value = -roots @ matrices, (roots @ off[:, :, None])[:, :, 0]
+        for i in range(len(transitions)):
+            graph.add(gtsam.JacobianFactor(i, before[i], i + 1, roots[i], value[i], whole))
+    if len(chosen):
+        jacobian, value = places.measurements(chain, chosen, larger)
+        own = chain.mean[places.image[chosen]]
+        value = value - (jacobian[:, :, 6:] @ own[:, :, None])[:, :, 0]
+        for i, each, measured in zip(places.image[chosen].tolist(), jacobian, value, strict=True):
+            graph.add(gtsam.JacobianFactor(i, each, measured, of_place))
+    return graph
+
+
+def updated(chain: Chain, change: gtsam.VectorValues) -> tuple[Chain, Float64[np.ndarray, "n 6"]]:
+    """The chain after a change of its states, and the change of its poses."""
+    changes = np.stack([change.at(i) for i in range(len(chain.poses))])
+    poses = (chain.poses @ Poses.exp(changes[:, POSE])).orthonormal()
+    return Chain(poses, chain.mean + changes[:, 6:]), changes[:, POSE]
+
+
+def apart(carried_off: Bool[np.ndarray, " n"]) -> list[slice]:
+    """Parts of a trajectory that begin at the first image and wherever the camera was carried off."""
+    starts = [0, *(np.flatnonzero(carried_off[1:]) + 1).tolist()]
+    return [slice(a, b) for a, b in zip(starts, [*starts[1:], len(carried_off)], strict=True)]

@@ -1,0 +1,207 @@
+"""Which place at each image in hindsight, and where the camera was carried off: Viterbi's algorithm back through time.
+
+Sources: Godsill, Doucet and West, "Maximum a posteriori sequence estimation using Monte Carlo particle filters", 2001
+(Viterbi over the particles of a filter); Olson and Agarwal, "Inference on networks of mixtures", 2013 (the most
+probable component counts: here odometry, or a camera that was carried off).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+
+from filtering.association import PLACE
+from filtering.config import GapConfig
+from filtering.measurement_noise import MeasurementNoise
+from filtering.posterior import PosePosterior
+from filtering.se3 import Poses
+
+_CANDIDATES = 12  # places of an image that the search goes on from
+_UNMATCHED = 1e-6  # weight, where the filter had no hypothesis
+_LEAST_SHARE = 1e-3  # of a place, among those that the camera may be carried to
+_LEAST_NOVELTY = 0.01  # of the first view after the camera was carried off, which odometry does not show
+_REACH = 8.0  # standard deviations of an ordinary error, as of modes
+
+
+@dataclass(frozen=True)
+class SearchStep:
+    """What the search knows of one image.
+
+    Attributes:
+        posterior: Of the image; uninformative where it has none.
+        previous_from_current: Motion since the image before, one pose; None where it is unknown.
+        elapsed_s: Seconds since the image before.
+        novelty: Of the view, in [0, 1].
+        likelihood_power: Of the image's likelihood, as of the filter, in [0, 1].
+        places: world_from_camera of the filter's hypotheses after the image, batch (p,), p ≥ 1.
+        weights: Theirs, (p,).
+    """
+
+    posterior: PosePosterior
+    previous_from_current: Poses | None
+    elapsed_s: float
+    novelty: float
+    likelihood_power: float
+    places: Poses
+    weights: Float64[np.ndarray, " p"]
+
+
+class Path(NamedTuple):
+    """The most probable trajectory to an end.
+
+    Attributes:
+        poses: world_from_camera, to within the errors of the filter and of odometry, batch (n,).
+        carried_off: Whether the camera was carried off before each image, (n,).
+    """
+
+    poses: Poses
+    carried_off: Bool[np.ndarray, " n"]
+
+
+class _Nodes(NamedTuple):
+    """Candidates at one image.
+
+    Attributes:
+        poses: world_from_camera, batch (m,).
+        log_value: Log probability of what follows each, (m,).
+        following: The candidate at the next image that each leads to, (m,).
+        carried_off: Whether the camera is carried off on the way there, (m,).
+    """
+
+    poses: Poses
+    log_value: Float64[np.ndarray, " m"]
+    following: Int64[np.ndarray, " m"]
+    carried_off: Bool[np.ndarray, " m"]
+
+
+def possible_at(posterior: PosePosterior, poses: Poses) -> Float64[np.ndarray, " n"]:
+    """How possible poses (n,) are by an image, in [0, 1], as in `filtering.association.evidence`: by the places near.
+
+    Args:
+        posterior: Of the image.
+        poses: world_from_camera, batch (n,).
+    """
+    support = (_nearness(posterior, poses) * posterior.support).sum(axis=1)
+    return support / (support + posterior.noise.possible_fraction)
+
+
+def most_probable_path(
+    steps: Sequence[SearchStep], end: Poses, noise: MeasurementNoise, kidnap_rate: float, gap: GapConfig
+) -> Path:
+    """The most probable trajectory that ends at a pose.
+
+    Candidates go back by odometry, each to the filter's hypothesis near it. Between two images the camera was carried
+    off with a stated probability; the filter's hypotheses before are where it may have come from.
+
+    Args:
+        steps: Of n images, n ≥ 1.
+        end: world_from_camera at the last, one pose.
+        noise: Noise of the images, by which places are told apart.
+        kidnap_rate: Probability that the camera was carried off, for every new view.
+        gap: Motion where odometry is missing.
+    """
+    last = np.zeros(1, np.int64)
+    nodes = [_Nodes(Poses.stack([end]), np.zeros(1), last, last.astype(bool))]
+    for before, after in zip(reversed(steps[:-1]), reversed(steps[1:]), strict=True):
+        nodes.append(_step_back(nodes[-1], before, after, noise, kidnap_rate, gap))
+    nodes.reverse()
+    at = int(np.argmax(nodes[0].log_value + _log_likelihood(steps[0], nodes[0].poses) + _log_share(steps[0], nodes[0])))
+    poses, carried_off = [], np.zeros(len(steps), bool)
+    for i, of_image in enumerate(nodes):
+        poses.append(of_image.poses[at])
+        if i + 1 < len(nodes):
+            carried_off[i + 1], at = of_image.carried_off[at], int(of_image.following[at])
+    return Path(Poses.stack(poses), carried_off)
+
+
+def _step_back(
+    after: _Nodes,
+    step: SearchStep,
+    following: SearchStep,
+    noise: MeasurementNoise,
+    kidnap_rate: float,
+    gap: GapConfig,
+) -> _Nodes:
+    """Candidates at the image before."""
+    log_value = after.log_value + _log_likelihood(following, after.poses)
+    motion, wider_m, wider_rad = following.previous_from_current, 0.0, 0.0
+    log_rate = float(np.log(-np.expm1(-kidnap_rate * max(following.novelty, _LEAST_NOVELTY))))
+    if motion is None:
+        wider_m, wider_rad = (2.0 * each * following.elapsed_s for each in (gap.speed_m_per_s, gap.turn_rad_per_s))
+        log_rate = 0.0 if gap.action == "forget" else log_rate
+    moved = after.poses if motion is None else after.poses @ motion.inverse()
+    values = log_value + _log_share(following, after)
+    target = int(np.argmax(values))
+    jump = float(values[target]) + log_rate
+    off = log_value < jump
+    if motion is None and gap.action == "forget":
+        off[:] = True
+    log_value, going_to = np.where(off, jump, log_value), np.where(off, target, np.arange(len(moved)))
+
+    # Back to the filter's hypotheses, which know the images before.
+    heavy = step.weights >= min(_LEAST_SHARE, step.weights.max())
+    places, weights = step.places[heavy], step.weights[heavy]
+    reach_m, reach_rad = _reach(noise)
+    apart_m2, apart_rad2 = moved.squared_distances(places)
+    apart = np.maximum(apart_m2 / (reach_m + wider_m) ** 2, apart_rad2 / (reach_rad + wider_rad) ** 2)
+    nearest, matched = apart.argmin(axis=1), (apart <= 1.0).any(axis=1)
+    poses = Poses(
+        np.where(matched[:, None, None], places.rotation[nearest], moved.rotation),
+        np.where(matched[:, None], places.translation[nearest], moved.translation),
+    )
+    reached = (apart <= 1.0).any(axis=0)
+    others = np.flatnonzero(~reached)
+    found = _Nodes(
+        Poses.concatenate([poses, places[others]]),
+        np.concatenate([log_value, np.full(len(others), jump)]),
+        np.concatenate([going_to, np.full(len(others), target)]),
+        np.concatenate([off, np.ones(len(others), bool)]),
+    )
+    prior = np.concatenate([np.where(matched, weights[nearest], _UNMATCHED), weights[others]])
+    # Of candidates that go back to one hypothesis only the best goes on.
+    identity = np.concatenate([np.where(matched, nearest, -1 - np.arange(len(moved))), others])
+    order = np.lexsort((-found.log_value, identity))
+    first = order[np.flatnonzero(np.diff(identity[order], prepend=identity[order[0]] - 1))]
+    kept = first[np.argsort(-(found.log_value + np.log(prior))[first], kind="stable")[:_CANDIDATES]]
+    return _Nodes(found.poses[kept], *(each[kept] for each in found[1:]))
+
+
+def _log_likelihood(step: SearchStep, poses: Poses) -> Float64[np.ndarray, " m"]:
+    if step.posterior.is_uninformative or step.likelihood_power == 0.0:
+        return np.zeros(len(poses))
+    outlier = step.posterior.outlier_probability
+    outliers = outlier + (1.0 - outlier) * step.posterior.excuse(poses)
+    return step.likelihood_power * np.log(outliers + (1.0 - outliers) * possible_at(step.posterior, poses))
+
+
+def _log_share(step: SearchStep, nodes: _Nodes) -> Float64[np.ndarray, " m"]:
+    """Log probability of a camera that was carried off, or switched on, to be there by its first image."""
+    possible = step.posterior.possible
+    if step.posterior.is_uninformative:
+        return np.full(len(nodes.poses), np.log(_LEAST_SHARE))
+    share = (_nearness(step.posterior, nodes.poses) * possible).sum(axis=1) / possible.sum()
+    return np.log(np.clip(share, _LEAST_SHARE, 1.0))
+
+
+def _nearness(posterior: PosePosterior, poses: Poses) -> Float64[np.ndarray, "n k"]:
+    """How near each of n poses is to each place, in [0, 1]; details finer than three standard deviations do not
+    count."""
+    near = np.zeros((len(poses), len(posterior.weights)))
+    apart_m2, apart_rad2 = poses.squared_distances(posterior.means)
+    variance_m, variance_rad = posterior.variances
+    far = 30.0 * PLACE**2  # e⁻¹⁵
+    which, place = np.nonzero((apart_m2 < far * variance_m) & (apart_rad2 < far * variance_rad))
+    if len(which):
+        residual = posterior.means[place].between(poses[which]).log()
+        scaled = np.linalg.solve(posterior.covariances[place], residual[:, :, None])[:, :, 0]
+        near[which, place] = np.exp(-0.5 * np.vecdot(residual, scaled) / PLACE**2)
+    return near
+
+
+def _reach(noise: MeasurementNoise) -> tuple[float, float]:
+    """How far apart poses of one place may be, metres and radians."""
+    return _REACH * max(noise.typical_std[:3]), min(max(_REACH * max(noise.typical_std[3:]), 0.2), 0.6)
