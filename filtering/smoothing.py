@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
@@ -30,7 +31,7 @@ class SmoothingConfig:
     """Settings of the smoother."""
 
     kidnap_rate: float = 3e-4
-    """Probability that the camera was carried off unnoticed, for every new view."""
+    """Probability that the camera was carried off unnoticed, at any moment of a run."""
     least_probability: float = 0.05
     """A second trajectory is reported from this probability on."""
     odometry_bias: OdometryBias = field(default_factory=lambda: LocalizerConfig().odometry_bias)
@@ -95,33 +96,65 @@ def smooth(
     return Hindsight(best, second)
 
 
-def _prepare(steps: Sequence[FilterStep], noise: MeasurementNoise, config: SmoothingConfig) -> Prepared:
-    first = Observation.of_posterior(PosePosterior.uninformative(noise), None).views[0]
-    camera = CameraMemory.first_seen(first, 0, unknown=1.0, adapts=config.adapt_errors)
-    cameras, search, distances, transitions = [], [], [], []
-    in_gap = False
-    for i, step in enumerate(steps):
-        moved = [0.0] * len(camera.sources)
-        if i and step.odometry is not None:
-            camera, moved = camera.predict(step.odometry)
-            transitions.append(transition(step.odometry, config.odometry_bias, moved, noise, new_drift=in_gap))
-        elif i:
+class Sources(NamedTuple):
+    """The sources of places of a camera, along its images.
+
+    Attributes:
+        camera: Its memory.
+        in_gap: Whether odometry was missing before the latest image; None before the first image.
+    """
+
+    camera: CameraMemory
+    in_gap: bool | None = None
+
+    @staticmethod
+    def unseen(noise: MeasurementNoise, config: SmoothingConfig) -> Sources:
+        """Those of a camera before its first image, with this noise."""
+        view = Observation.of_posterior(PosePosterior.uninformative(noise), None).views[0]
+        return Sources(CameraMemory.first_seen(view, 0, unknown=1.0, adapts=config.adapt_errors))
+
+    def after(
+        self, step: FilterStep, noise: MeasurementNoise, config: SmoothingConfig
+    ) -> tuple[Sources, list[float], Transition | None, SearchStep]:
+        """After the next image: the sources, how far they moved, the transition of the state, and what is searched.
+
+        Args:
+            step: Of the filter.
+            noise: Noise of the images.
+            config: Settings.
+        """
+        camera, in_gap, motion = self.camera, self.in_gap, step.odometry
+        moved, to_here = [0.0] * len(camera.sources), None
+        if in_gap is None:
+            motion = None
+        elif motion is not None:
+            camera, moved = camera.predict(motion)
+            to_here = transition(motion, config.odometry_bias, moved, noise, new_drift=in_gap)
+        else:
             likely = config.gap.speed_m_per_s * step.elapsed_s, config.gap.turn_rad_per_s * step.elapsed_s
             camera, moved = camera.across_gap(*likely)
             still = Odometry.still(step.elapsed_s)
-            transitions.append(transition(still, config.gap.velocity, moved, noise, new_drift=not in_gap))
-        in_gap = i > 0 and step.odometry is None
-        novelty = power = 0.0
+            to_here = transition(still, config.gap.velocity, moved, noise, new_drift=not in_gap)
+        power = 0.0
         if not step.posterior.is_uninformative:
-            camera, novelty, power = camera.observe(step.posterior)
-        cameras.append(camera)
+            camera, _, power = camera.observe(step.posterior)
+        pose = None if motion is None else motion.previous_from_current
+        searched = SearchStep(step.posterior, pose, step.elapsed_s, power, step.hypotheses, step.weights)
+        return Sources(camera, in_gap is not None and motion is None), moved, to_here, searched
+
+
+def _prepare(steps: Sequence[FilterStep], noise: MeasurementNoise, config: SmoothingConfig) -> Prepared:
+    sources = Sources.unseen(noise, config)
+    cameras, search, distances, transitions = [], [], [], []
+    for step in steps:
+        sources, moved, to_here, searched = sources.after(step, noise, config)
+        cameras.append(sources.camera)
+        search.append(searched)
         distances.append(moved)
-        motion = None if step.odometry is None else step.odometry.previous_from_current
-        search.append(
-            SearchStep(step.posterior, motion, step.elapsed_s, novelty, power, step.hypotheses, step.weights)
-        )
+        if to_here is not None:
+            transitions.append(to_here)
     # The scale of the errors is that of the whole run.
-    scales = [source.scale for source in camera.sources]
+    scales = [source.scale for source in sources.camera.sources]
     factors = [scale.factor for scale in scales]
     noises = [
         replace(

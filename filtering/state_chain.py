@@ -249,31 +249,80 @@ def solve(
     for number in range(_MOST_ROUNDS):
         before, chosen = chosen, places.choose(chain)
         larger = places.enlarged(chain, chosen) if number else np.ones(len(chosen))
-        graph = linearised(chain, prior, transitions, places, chosen, larger)
-        chain, moved = updated(chain, graph.optimize())
+        factors = factors_of(chain, transitions, places, chosen, larger)
+        chain, moved = updated(chain, graph_of(prior_factor(prior, chain), factors).optimize())
         if number and np.array_equal(before, chosen) and (np.abs(moved) < _SETTLED * std).all():
             break
-    graph = linearised(chain, prior, transitions, places, chosen, larger)
-    solution = graph.optimize()
-    marginals = gtsam.Marginals(graph, solution)
-    covariance = np.stack([marginals.marginalCovariance(i)[POSE, POSE] for i in range(len(start))])
-    return chain, covariance
+    factors = factors_of(chain, transitions, places, chosen, larger)
+    graph = graph_of(prior_factor(prior, chain), factors)
+    return chain, covariances_of(graph, range(len(start)))
 
 
-def linearised(
+def covariances_of(graph: gtsam.GaussianFactorGraph, keys: Sequence[int]) -> Float64[np.ndarray, "n 6 6"]:
+    """Covariances of the poses of some states."""
+    marginals = gtsam.Marginals(graph, graph.optimize())
+    return np.stack([marginals.marginalCovariance(key)[POSE, POSE] for key in keys])
+
+
+def marginalised(factors: Sequence[gtsam.JacobianFactor], chain: Chain) -> Prior:
+    """What the first of n ≥ 2 states says of the second, as a prior.
+
+    Args:
+        factors: All of the change of the first state, one of them also of the second's.
+        chain: From which they are changes.
+    """
+    rows, size = [], 6 + chain.mean.shape[1]
+    for factor in factors:
+        own = factor.getA()
+        whole = own if len(factor.keys()) > 1 else np.pad(own, ((0, 0), (0, size)))
+        rows.append(np.column_stack([whole, factor.getb()]))
+    triangle = np.linalg.qr(np.concatenate(rows), mode="r")[size : 2 * size, size:]
+    return Prior(chain.poses[1], chain.mean[1], triangle[:, :size], triangle[:, size])
+
+
+def graph_of(
+    prior: gtsam.JacobianFactor, factors: Sequence[Sequence[gtsam.JacobianFactor]]
+) -> gtsam.GaussianFactorGraph:
+    """The graph of a prior and of the factors of each image."""
+    graph = gtsam.GaussianFactorGraph()
+    graph.push_back(prior)
+    for of_image in factors:
+        for factor in of_image:
+            graph.push_back(factor)
+    return graph
+
+
+def prior_factor(prior: Prior, chain: Chain, key: int = 0) -> gtsam.JacobianFactor:
+    """The factor of the change of the first state by a prior."""
+    off = np.concatenate([prior.pose.between(chain.poses[0]).log(), chain.mean[0] - prior.mean])
+    return gtsam.JacobianFactor(
+        key, prior.root_information, prior.rest - prior.root_information @ off, gtsam.noiseModel.Unit.Create(len(off))
+    )
+
+
+def factors_of(
     chain: Chain,
-    prior: Prior,
     transitions: Sequence[Transition],
     places: Places,
     chosen: Int64[np.ndarray, " c"],
     larger: Float64[np.ndarray, " c"],
-) -> gtsam.GaussianFactorGraph:
-    """Factors of the changes of the states: of the error ξ of each pose, and of the other parts."""
-    graph = gtsam.GaussianFactorGraph()
-    size = 6 + chain.mean.shape[1]
+    key: int = 0,
+) -> list[list[gtsam.JacobianFactor]]:
+    """Factors of the changes of the n states, of the error ξ of each pose and of the other parts, by image.
+
+    Those of an image are the transition from the one before and the places that it sees.
+
+    Args:
+        chain: The states that change.
+        transitions: Between them, n − 1.
+        places: Of the images.
+        chosen: Places that are seen.
+        larger: Factor of the variance of each.
+        key: Of the first state; the others' count up from it.
+    """
+    size, count = 6 + chain.mean.shape[1], len(chain.poses)
     whole, of_place = gtsam.noiseModel.Unit.Create(size), gtsam.noiseModel.Unit.Create(6)
-    off = np.concatenate([prior.pose.between(chain.poses[0]).log(), chain.mean[0] - prior.mean])
-    graph.add(gtsam.JacobianFactor(0, prior.root_information, prior.rest - prior.root_information @ off, whole))
+    factors: list[list[gtsam.JacobianFactor]] = [[] for _ in range(count)]
     if transitions:
         steps = Poses.stack([each.previous_from_current for each in transitions])
         matrices = np.stack([each.matrix for each in transitions])
@@ -286,19 +335,21 @@ def linearised(
         off[:, 6:] = rest * chain.mean[:-1] - chain.mean[1:]
         before, value = -roots @ matrices, (roots @ off[:, :, None])[:, :, 0]
         for i in range(len(transitions)):
-            graph.add(gtsam.JacobianFactor(i, before[i], i + 1, roots[i], value[i], whole))
+            factors[i + 1].append(gtsam.JacobianFactor(key + i, before[i], key + i + 1, roots[i], value[i], whole))
     if len(chosen):
         jacobian, value = places.measurements(chain, chosen, larger)
         own = chain.mean[places.image[chosen]]
         value = value - (jacobian[:, :, 6:] @ own[:, :, None])[:, :, 0]
         for i, each, measured in zip(places.image[chosen].tolist(), jacobian, value, strict=True):
-            graph.add(gtsam.JacobianFactor(i, each, measured, of_place))
-    return graph
+            factors[i].append(gtsam.JacobianFactor(key + i, each, measured, of_place))
+    return factors
 
 
-def updated(chain: Chain, change: gtsam.VectorValues) -> tuple[Chain, Float64[np.ndarray, "n 6"]]:
-    """The chain after a change of its states, and the change of its poses."""
-    changes = np.stack([change.at(i) for i in range(len(chain.poses))])
+def updated(
+    chain: Chain, change: gtsam.VectorValues, key: int = 0
+) -> tuple[Chain, Float64[np.ndarray, "n 6"]]:
+    """The chain after a change of its states, whose keys count up from one, and the change of its poses."""
+    changes = np.stack([change.at(key + i) for i in range(len(chain.poses))])
     poses = (chain.poses @ Poses.exp(changes[:, POSE])).orthonormal()
     return Chain(poses, chain.mean + changes[:, 6:]), changes[:, POSE]
 

@@ -21,9 +21,9 @@ from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 
 _CANDIDATES = 12  # places of an image that the search goes on from
+_LEAST_WEIGHT = 1e-3  # of a hypothesis that the camera may have been carried off from
 _UNMATCHED = 1e-6  # weight, where the filter had no hypothesis
-_LEAST_SHARE = 1e-3  # of a place, among those that the camera may be carried to
-_LEAST_NOVELTY = 0.01  # of the first view after the camera was carried off, which odometry does not show
+_LEAST_POWER = 3e-4  # of a likelihood: whether a view is new is seen by odometry, which does not show a kidnap
 _REACH = 8.0  # standard deviations of an ordinary error, as of modes
 
 
@@ -35,7 +35,6 @@ class SearchStep:
         posterior: Of the image; uninformative where it has none.
         previous_from_current: Motion since the image before, one pose; None where it is unknown.
         elapsed_s: Seconds since the image before.
-        novelty: Of the view, in [0, 1].
         likelihood_power: Of the image's likelihood, as of the filter, in [0, 1].
         places: world_from_camera of the filter's hypotheses after the image, batch (p,), p ≥ 1.
         weights: Theirs, (p,).
@@ -44,7 +43,6 @@ class SearchStep:
     posterior: PosePosterior
     previous_from_current: Poses | None
     elapsed_s: float
-    novelty: float
     likelihood_power: float
     places: Poses
     weights: Float64[np.ndarray, " p"]
@@ -101,7 +99,7 @@ def most_probable_path(
         steps: Of n images, n ≥ 1.
         end: world_from_camera at the last, one pose.
         noise: Noise of the images, by which places are told apart.
-        kidnap_rate: Probability that the camera was carried off, for every new view.
+        kidnap_rate: Probability that the camera was carried off.
         gap: Motion where odometry is missing.
     """
     last = np.zeros(1, np.int64)
@@ -109,7 +107,7 @@ def most_probable_path(
     for before, after in zip(reversed(steps[:-1]), reversed(steps[1:]), strict=True):
         nodes.append(_step_back(nodes[-1], before, after, noise, kidnap_rate, gap))
     nodes.reverse()
-    at = int(np.argmax(nodes[0].log_value + _log_likelihood(steps[0], nodes[0].poses) + _log_share(steps[0], nodes[0])))
+    at = int(np.argmax(nodes[0].log_value + _log_likelihood(steps[0], nodes[0].poses, power=1.0)))
     poses, carried_off = [], np.zeros(len(steps), bool)
     for i, of_image in enumerate(nodes):
         poses.append(of_image.poses[at])
@@ -129,21 +127,20 @@ def _step_back(
     """Candidates at the image before."""
     log_value = after.log_value + _log_likelihood(following, after.poses)
     motion, wider_m, wider_rad = following.previous_from_current, 0.0, 0.0
-    log_rate = float(np.log(-np.expm1(-kidnap_rate * max(following.novelty, _LEAST_NOVELTY))))
+    log_rate = float(np.log(kidnap_rate))
     if motion is None:
         wider_m, wider_rad = (2.0 * each * following.elapsed_s for each in (gap.speed_m_per_s, gap.turn_rad_per_s))
         log_rate = 0.0 if gap.action == "forget" else log_rate
     moved = after.poses if motion is None else after.poses @ motion.inverse()
-    values = log_value + _log_share(following, after)
-    target = int(np.argmax(values))
-    jump = float(values[target]) + log_rate
+    target = int(np.argmax(log_value))
+    jump = float(log_value[target]) + log_rate
     off = log_value < jump
     if motion is None and gap.action == "forget":
         off[:] = True
     log_value, going_to = np.where(off, jump, log_value), np.where(off, target, np.arange(len(moved)))
 
     # Back to the filter's hypotheses, which know the images before.
-    heavy = step.weights >= min(_LEAST_SHARE, step.weights.max())
+    heavy = step.weights >= min(_LEAST_WEIGHT, step.weights.max())
     places, weights = step.places[heavy], step.weights[heavy]
     reach_m, reach_rad = _reach(noise)
     apart_m2, apart_rad2 = moved.squared_distances(places)
@@ -170,21 +167,13 @@ def _step_back(
     return _Nodes(found.poses[kept], *(each[kept] for each in found[1:]))
 
 
-def _log_likelihood(step: SearchStep, poses: Poses) -> Float64[np.ndarray, " m"]:
-    if step.posterior.is_uninformative or step.likelihood_power == 0.0:
+def _log_likelihood(step: SearchStep, poses: Poses, power: float | None = None) -> Float64[np.ndarray, " m"]:
+    if step.posterior.is_uninformative:
         return np.zeros(len(poses))
+    power = max(step.likelihood_power, _LEAST_POWER) if power is None else power
     outlier = step.posterior.outlier_probability
     outliers = outlier + (1.0 - outlier) * step.posterior.excuse(poses)
-    return step.likelihood_power * np.log(outliers + (1.0 - outliers) * possible_at(step.posterior, poses))
-
-
-def _log_share(step: SearchStep, nodes: _Nodes) -> Float64[np.ndarray, " m"]:
-    """Log probability of a camera that was carried off, or switched on, to be there by its first image."""
-    possible = step.posterior.possible
-    if step.posterior.is_uninformative:
-        return np.full(len(nodes.poses), np.log(_LEAST_SHARE))
-    share = (_nearness(step.posterior, nodes.poses) * possible).sum(axis=1) / possible.sum()
-    return np.log(np.clip(share, _LEAST_SHARE, 1.0))
+    return power * np.log(outliers + (1.0 - outliers) * possible_at(step.posterior, poses))
 
 
 def _nearness(posterior: PosePosterior, poses: Poses) -> Float64[np.ndarray, "n k"]:
