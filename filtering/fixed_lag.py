@@ -28,16 +28,19 @@ from filtering.state_chain import (
     Places,
     Prior,
     Transition,
+    covariance_of,
     covariances_of,
     factors_of,
     graph_of,
     marginalised,
     prior_factor,
+    solved_from_first,
     unknown_prior,
     updated,
 )
 from filtering.trajectory_search import SearchStep, most_probable_path
 
+_NOTHING = PosePosterior.uninformative()
 _ROUNDS = 4  # of Gauss-Newton, where a window begins anew
 _RELINEARISED = 0.5  # ordinary standard deviations that a pose changes, until the window is linearised again
 
@@ -107,6 +110,7 @@ class FixedLagSmoother:
         self._window: list[_Held] = []
         self._chain: Chain | None = None  # about which the factors are linear
         self._factors: list[list[gtsam.JacobianFactor]] = []
+        self._of_first: np.ndarray | None = None
         self._time_s, self._weight = 0.0, 1.0
 
     def update(self, step: FilterStep) -> list[LaggedPose]:
@@ -151,7 +155,7 @@ class FixedLagSmoother:
         places = _places([before, latest], only_last=True)
         chosen = places.choose(two)
         self._factors += factors_of(two, [to_here], places, chosen, places.enlarged(two, chosen), before.number)[1:]
-        self._now, moved = updated(chain, self._graph.optimize(), self._key)
+        moved = self._solve(chain)
         if (np.abs(moved) > _RELINEARISED * np.asarray(self.noise.typical_std)).any():
             self._linearise(self._now)
         return self._now
@@ -185,41 +189,47 @@ class FixedLagSmoother:
         transitions = [held.transition for held in self._window[1:] if held.transition is not None]
         self._chain = chain
         self._factors = factors_of(chain, transitions, places, chosen, larger, self._key)
-        self._now, _ = updated(chain, self._graph.optimize(), self._key)
+        self._solve(chain)
+
+    def _solve(self, chain: Chain) -> Float64[np.ndarray, "n 6"]:
+        """The states by all factors; the change of each pose."""
+        change, self._of_first = solved_from_first(self._graph, self._key, len(self._window))
+        self._now, moved = updated(chain, change, self._key)
+        return moved
 
     def _take_first(self) -> LaggedPose:
         """The pose of the first image, which leaves the window."""
         chain = self._chain
         assert chain is not None
-        (given,) = self._poses([0])
+        if self._of_first is None:  # another image has left the window since
+            self._solve(chain)
+        held = self._window[0]
+        covariance = covariance_of(self._of_first)
+        given = LaggedPose(held.number, self._now.poses[0], covariance, self._weight, held.carried_off)
         own = [prior_factor(self._prior, chain, self._key), *self._factors[0], self._factors[1][0]]
         self._prior = marginalised(own, chain)
         self._window, self._factors = self._window[1:], [self._factors[1][1:], *self._factors[2:]]
         self._chain, self._now = (Chain(each.poses[1:], each.mean[1:]) for each in (chain, self._now))
+        self._of_first = None
         return given
 
     def _take(self, count: int) -> list[LaggedPose]:
         """The poses of the first images, by the states as they are now; they leave the window."""
         if count == 0 or self._chain is None:
             return []
-        given = self._poses(range(count))
-        self._window = self._window[count:]
-        return given
-
-    def _poses(self, which: Sequence[int]) -> list[LaggedPose]:
-        covariances = covariances_of(self._graph, [self._key + i for i in which])
-        held = [self._window[i] for i in which]
+        # The latest image may not be in the graph yet.
+        known = min(count, len(self._factors))
+        covariances = covariances_of(self._graph, range(self._key, self._key + known))
+        held, self._window = self._window[:count], self._window[count:]
         return [
-            LaggedPose(each.number, self._now.poses[i], covariance, self._weight, each.carried_off)
-            for i, each, covariance in zip(which, held, covariances, strict=True)
+            LaggedPose(each.number, pose, covariance, self._weight, each.carried_off)
+            for each, pose, covariance in zip(held, self._now.poses[:count], covariances, strict=True)
         ]
 
 
 def _places(window: Sequence[_Held], *, only_last: bool = False) -> Places:
     last = len(window) - 1
-    posteriors = [
-        held.posterior.without_places() if only_last and i < last else held.posterior for i, held in enumerate(window)
-    ]
+    posteriors = [_NOTHING if only_last and i < last else held.posterior for i, held in enumerate(window)]
     return Places(posteriors, np.array([held.moved for held in window]), [held.noise for held in window])
 
 

@@ -264,6 +264,29 @@ def covariances_of(graph: gtsam.GaussianFactorGraph, keys: Sequence[int]) -> Flo
     return np.stack([marginals.marginalCovariance(key)[POSE, POSE] for key in keys])
 
 
+def solved_from_first(
+    graph: gtsam.GaussianFactorGraph, first: int, count: int
+) -> tuple[gtsam.VectorValues, Float64[np.ndarray, "d d"]]:
+    """The change of each of so many states, and a root of the information on the first, by one elimination.
+
+    Args:
+        graph: Of the factors.
+        first: The key of the first state.
+        count: Number of the states.
+    """
+    ordering = gtsam.Ordering()
+    for key in range(first + count - 1, first - 1, -1):
+        ordering.push_back(key)
+    eliminated = graph.eliminateSequential(ordering)
+    return eliminated.optimize(), np.array(eliminated.at(count - 1).R())  # a view of GTSAM's memory
+
+
+def covariance_of(root_information: Float64[np.ndarray, "d d"]) -> Float64[np.ndarray, "6 6"]:
+    """Covariance of the pose of a state, by an upper triangular root of the information on the state."""
+    half = solve_triangular(root_information, np.eye(len(root_information)), check_finite=False)[POSE]
+    return half @ half.T
+
+
 def marginalised(factors: Sequence[gtsam.JacobianFactor], chain: Chain) -> Prior:
     """What the first of n ≥ 2 states says of the second, as a prior.
 
