@@ -70,37 +70,37 @@ class SmoothedTrajectory:
     Attributes:
         poses: world_from_camera, batch (n,).
         covariance: Of the error ξ = (v, ω) of each, metres and radians, in the tangent at it, (n, 6, 6).
-        carried_off: Whether the camera was carried off, or its motion is unknown, before each image, (n,).
-        probability: Of the place at its end, as the filter has it.
+        probability: Of the place that each is in, (n,): the filter's weight of it after the last image before the
+            camera was carried off next, or of all.
     """
 
     poses: Poses
     covariance: Float64[np.ndarray, "n 6 6"]
-    carried_off: Bool[np.ndarray, " n"]
-    probability: float
+    probability: Float64[np.ndarray, " n"]
 
 
 @dataclass(frozen=True)
 class Hindsight:
-    """What all images say of a run.
+    """What all n images say of a run.
 
     Attributes:
         best: The most probable trajectory.
-        second: The second one, of another place at the end; None where it is improbable.
+        second: The second one, where the end is ambiguous, or the image before the camera was carried off; elsewhere it
+            is the best one with a probability of 0. None where nothing is ambiguous.
+        carried_off: Whether the camera was carried off before each image, or is in another sequence, (n,).
     """
 
     best: SmoothedTrajectory
     second: SmoothedTrajectory | None
+    carried_off: Bool[np.ndarray, " n"]
 
     def is_ambiguous(self, modes: ModeConfig, noise: MeasurementNoise) -> Bool[np.ndarray, " n"]:
         """At which images both trajectories are at different places, (n,)."""
-        count = len(self.best.poses)
         if self.second is None:
-            return np.zeros(count, bool)
-        offset = self.best.poses.between(self.second.poses).log()
-        reach = modes.reach(noise, self.best.covariance)
-        squared = np.square(offset / reach)
-        return (squared[:, :3].sum(axis=1) > 1.0) | (squared[:, 3:].sum(axis=1) > 1.0)
+            return np.zeros(len(self.best.poses), bool)
+        squared = np.square(self.best.poses.between(self.second.poses).log() / modes.reach(noise, self.best.covariance))
+        elsewhere = (squared[:, :3].sum(axis=1) > 1.0) | (squared[:, 3:].sum(axis=1) > 1.0)
+        return elsewhere & (self.second.probability > 0.0)
 
 
 def trajectory_agreement(

@@ -23,14 +23,14 @@ from filtering.motion import Odometry, OdometryBias
 from filtering.observation import Observation
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
-from filtering.state_chain import Places, Transition, apart, solve, transition, unknown_prior
-from filtering.trajectory_search import SearchStep, most_probable_path
+from filtering.state_chain import Places, Transition, solve, transition, unknown_prior
+from filtering.trajectory_search import Path, SearchStep, most_probable_path
 
 @dataclass(frozen=True)
 class SmoothingConfig:
     """Settings of the smoother."""
 
-    kidnap_rate: float = 3e-4
+    kidnap_rate: float = 3e-3
     """Probability that the camera was carried off unnoticed, at any moment of a run."""
     least_probability: float = 0.05
     """A second trajectory is reported from this probability on."""
@@ -88,12 +88,37 @@ def smooth(
         raise VaporTrackError("no step of the filter to smooth, expected at least one")
     config = config or SmoothingConfig()
     prepared = _prepare(steps, noise, config)
-    ends = steps[-1].modes
-    best = _trajectory(prepared, ends[0], noise, config)
-    second = None
-    if len(ends) > 1 and ends[1].weight >= config.least_probability:
-        second = _trajectory(prepared, ends[1], noise, config)
-    return Hindsight(best, second)
+    best, second, carried_off = [], [], np.zeros(len(steps), bool)
+    stop = len(steps)
+    while stop > 0:  # the last part first: before the camera was carried off, the filter's belief is of no use after it
+        modes = steps[stop - 1].modes
+        path = _path(prepared, slice(0, stop), modes[0], noise, config)
+        breaks = np.flatnonzero(path.carried_off)
+        start = int(breaks[-1]) if len(breaks) else 0
+        carried_off[start] = start > 0
+        part = slice(start, stop)
+        best.append(_trajectory(prepared, part, path.poses[part], modes[0].weight, noise, config))
+        second.append(None)
+        if len(modes) > 1 and modes[1].weight >= config.least_probability:
+            other = _path(prepared, part, modes[1], noise, config)
+            second[-1] = _trajectory(prepared, part, other.poses, modes[1].weight, noise, config)
+        stop = start
+    best, second = best[::-1], second[::-1]
+    ambiguous = any(part is not None for part in second)
+    others = [_improbable(of_best) if part is None else part for of_best, part in zip(best, second, strict=True)]
+    return Hindsight(_joined(best), _joined(others) if ambiguous else None, carried_off)
+
+
+def _improbable(trajectory: SmoothedTrajectory) -> SmoothedTrajectory:
+    return replace(trajectory, probability=np.zeros(len(trajectory.poses)))
+
+
+def _joined(parts: Sequence[SmoothedTrajectory]) -> SmoothedTrajectory:
+    return SmoothedTrajectory(
+        Poses.concatenate([part.poses for part in parts]),
+        np.concatenate([part.covariance for part in parts]),
+        np.concatenate([part.probability for part in parts]),
+    )
 
 
 class Sources(NamedTuple):
@@ -170,14 +195,18 @@ def _prepare(steps: Sequence[FilterStep], noise: MeasurementNoise, config: Smoot
     return Prepared(tuple(search), posteriors, tuple(noises), np.array(distances), tuple(transitions))
 
 
-def _trajectory(prepared: Prepared, end: Mode, noise: MeasurementNoise, config: SmoothingConfig) -> SmoothedTrajectory:
-    path = most_probable_path(prepared.steps, end.world_from_camera, noise, config.kidnap_rate, config.gap)
-    poses, covariances = [], []
-    for part in apart(path.carried_off):
-        places = Places(prepared.posteriors[part], prepared.moved[part], prepared.noise[part])
-        start = path.poses[part]
-        prior = unknown_prior(start[0], noise, config.odometry_bias, prepared.moved.shape[1])
-        chain, covariance = solve(start, prior, prepared.transitions[part.start : part.stop - 1], places, noise)
-        poses.append(chain.poses)
-        covariances.append(covariance)
-    return SmoothedTrajectory(Poses.concatenate(poses), np.concatenate(covariances), path.carried_off, end.weight)
+def _path(
+    prepared: Prepared, part: slice, end: Mode, noise: MeasurementNoise, config: SmoothingConfig
+) -> Path:
+    return most_probable_path(prepared.steps[part], end.world_from_camera, noise, config.kidnap_rate, config.gap)
+
+
+def _trajectory(
+    prepared: Prepared, part: slice, start: Poses, probability: float, noise: MeasurementNoise, config: SmoothingConfig
+) -> SmoothedTrajectory:
+    """The trajectory over a part of the images without a break, from poses (n,) that are near it."""
+    places = Places(prepared.posteriors[part], prepared.moved[part], prepared.noise[part])
+    prior = unknown_prior(start[0], noise, config.odometry_bias, prepared.moved.shape[1])
+    transitions = prepared.transitions[part.start : part.stop - 1]
+    chain, covariance = solve(start, prior, transitions, places, noise)
+    return SmoothedTrajectory(chain.poses, covariance, np.full(len(start), probability))

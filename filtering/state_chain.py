@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import gtsam
 import numpy as np
-from jaxtyping import Bool, Float64, Int64
+from jaxtyping import Float64, Int64
 from scipy.linalg import solve_triangular
 from scipy.special import gammaln
 
@@ -196,6 +196,8 @@ class Places:
 
     def enlarged(self, chain: Chain, chosen: Int64[np.ndarray, " c"]) -> Float64[np.ndarray, " c"]:
         """Factor of the variance of the error of each place chosen: 1 of a usual one, see `filtering.association`."""
+        if len(chosen) == 0:
+            return np.ones(0)
         image, source = self.image[chosen], self.source[chosen]
         residual = chain.poses[image].between(self.poses[chosen]).log()
         own = (7 + 6 * source)[:, None] + np.arange(6)
@@ -375,9 +377,3 @@ def updated(
     changes = np.stack([change.at(key + i) for i in range(len(chain.poses))])
     poses = (chain.poses @ Poses.exp(changes[:, POSE])).orthonormal()
     return Chain(poses, chain.mean + changes[:, 6:]), changes[:, POSE]
-
-
-def apart(carried_off: Bool[np.ndarray, " n"]) -> list[slice]:
-    """Parts of a trajectory that begin at the first image and wherever the camera was carried off."""
-    starts = [0, *(np.flatnonzero(carried_off[1:]) + 1).tolist()]
-    return [slice(a, b) for a, b in zip(starts, [*starts[1:], len(carried_off)], strict=True)]

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, Int64
 
 from filtering.moments import require_sound, settle
 from filtering.se3 import Poses
@@ -103,3 +103,15 @@ class EstimateWriter(MessageWriter):
         if modes:
             transform = ros_transform(time_ns, MAP_FRAME, ESTIMATE_FRAME, ros_poses(modes[0][0], known_valid=True))
             self._write("/tf", "tf2_msgs/TFMessage", {"transforms": [transform]}, time_ns)
+
+    def write_trajectory(
+        self,
+        name: str,
+        times_ns: Int64[np.ndarray, " n"],
+        poses: Poses,
+        covariance: Float64[np.ndarray, "n 6 6"],
+    ) -> None:
+        """Write poses (n,) that were found later, as PoseWithCovarianceStamped under `/estimate/NAME`."""
+        for i, time_ns in enumerate(times_ns.tolist()):
+            pose = {"header": ros_header(time_ns, MAP_FRAME), "pose": pose_with_covariance(poses[i], covariance[i])}
+            self._write(f"/estimate/{name}", "geometry_msgs/PoseWithCovarianceStamped", pose, time_ns)

@@ -45,7 +45,7 @@ def short_label(method: str) -> str:
 
 def all_poses(followed: Followed) -> dict[str, Poses]:
     """Poses of every method by its name in `METHODS`, world_from_camera, (n,) each."""
-    return followed.poses | {"smoothed": followed.smoothed.best}
+    return followed.poses | {"smoothed": followed.smoothed.best, "fixed_lag": followed.fixed_lag}
 
 
 def evaluate_methods(

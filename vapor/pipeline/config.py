@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from filtering.config import LocalizerConfig
-from filtering.errors import VaporTrackError
+from filtering.errors import VaporTrackError, require_within
 from vapor.engines.engine import Device, EngineConfig
 
 
@@ -17,8 +17,11 @@ class FilterConfig:
     """Seed of all random draws: on the same machine, the same seed and file give the same output."""
     localizer: LocalizerConfig = field(default_factory=LocalizerConfig)
     """The particle filter."""
+    lag: float = 0.0
+    """Give each pose also by the images until so many seconds later (a fixed-lag smoother); 0: do not."""
 
     def __post_init__(self) -> None:
+        require_within(self, lag=(0.0, 3600.0))
         if self.seed < 0:
             raise VaporTrackError(f"seed is {self.seed}, expected at least 0")
 

@@ -16,11 +16,11 @@ from typing import Any, TypeVar, cast
 import numpy as np
 
 from filtering.errors import VaporTrackError
+from filtering.hindsight import FilterStep
 from filtering.localizer import ParticleLocalizer
 from filtering.measurement_noise import MeasurementNoise
 from filtering.observation import Observation
 from filtering.posterior import ObservationModel
-from filtering.smoothing import trajectory_agreement
 from filtering.storeys import Storeys
 from sequences.estimates.sequence import EstimateSequence
 from sequences.odometry_fit.result import OdometryFit
@@ -29,8 +29,9 @@ from vapor.pipeline.config import FilteringConfig
 from vapor.reporting.record import RunRecord
 from vapor.reporting.rerun_place import Place
 from vapor.reporting.run_outputs import RunOutputs
-from vapor.tracking.loop import History, StepLoop, elapsed_s
-from vapor.tracking.methods import poses_at_end, start_baselines
+from vapor.tracking.hindsight import LookBack
+from vapor.tracking.loop import StepLoop, elapsed_s
+from vapor.tracking.methods import start_baselines
 
 Item = TypeVar("Item")
 
@@ -101,7 +102,7 @@ def localize(
         settings = replace(settings, odometry_bias=odometry_fit.odometry_bias)
     localizer = ParticleLocalizer(model, settings, rng=np.random.default_rng(config.seed))
     loop = StepLoop(localizer, start_baselines(settings, lambda: np.random.default_rng(config.seed)))
-    history = History()
+    steps: list[FilterStep] = []
     on_storeys: list[np.ndarray] = []
     verified = 0
 
@@ -123,7 +124,7 @@ def localize(
             for number, (frame, observation, observe_ms) in enumerate(observed_frames, start=1):
                 with _about(frame, source):
                     step = loop.step(observation, observe_ms=observe_ms)
-                history.add(step)
+                steps.append(FilterStep.of(observation, step.estimate))
                 verified += observation.posterior.has_verified
                 if storeys is not None:
                     on_storeys.append(storeys.belief(step.estimate))
@@ -135,14 +136,13 @@ def localize(
                 f"{source.path}: {source.counts.warning} Expected at least one in ten (--allow-few-images localizes"
                 " fewer)"
             )
-        at_end = poses_at_end(history, noise, settings) if history.evidence else {}
-        record = outputs.record(skipped=source.skipped, images=source.counts, at_end=at_end)
+        look_back = LookBack.on(steps, outputs.times_ns, noise, settings, config.lag) if steps else None
+        record = outputs.record(skipped=source.skipped, images=source.counts, look_back=look_back)
     return replace(
         record,
         storeys=storeys,
         storey_belief=None if storeys is None else np.stack(on_storeys),
         num_verified=None if noise.verified is None else verified,
-        smoothed_agreement=trajectory_agreement(at_end["smoothed"], record.times_ns, history.evidence, noise),
     )
 
 

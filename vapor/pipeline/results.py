@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from sequences.atomic import atomic_output
+from sequences.frame import Trajectory
 from sequences.trajectories.tum import write_tum
 from vapor.reporting.html.page import write_page
 from vapor.reporting.html.run_page import run_page
@@ -22,7 +23,7 @@ _PACKAGES = ("vapor-track", "torch", "numpy", "scipy", "filterpy", "gtsam", "ope
 RESULTS = frozenset(
     {
         *FILES.values(),
-        *("ground_truth.tum", "status.csv", "config.json", "estimate.mcap", "recording.rrd"),
+        *("smoothed_second.tum", "ground_truth.tum", "status.csv", "config.json", "estimate.mcap", "recording.rrd"),
         *("report.html", "report.json"),
     }
 )
@@ -59,6 +60,8 @@ def write_results(
     """Write trajectories, `config.json` (settings, and versions of packages), and the report of a run."""
     for name, trajectory in record.methods.items():
         write_tum(directory / FILES[name], trajectory)
+    if record.look_back is not None and (second := record.look_back.second) is not None:
+        write_tum(directory / "smoothed_second.tum", Trajectory(record.times_ns, second.poses))
     if record.truth is not None:
         write_tum(directory / "ground_truth.tum", record.truth)
     write_status(directory / "status.csv", record)

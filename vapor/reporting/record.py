@@ -17,6 +17,7 @@ from sequences.frame import Frame, Trajectory
 from sequences.reading.counts import ImageCounts
 from vapor.landmarks.verify import ShownLandmarks
 from vapor.reporting.drawing import as_jpeg, shrunk
+from vapor.tracking.hindsight import LookBack
 from vapor.tracking.loop import Step
 from vapor.tracking.methods import in_order
 
@@ -157,7 +158,7 @@ class RunRecord:
         ood_score: How unlike the training data each image was, see `PosePosterior`, (n,).
         step_ms: Wall-clock milliseconds of each step, (n,).
         truth: True poses of the images that have one; None if none has.
-        smoothed_agreement: How well the images about each smoothed pose fit it, in [0, 1], (n,); None without any.
+        look_back: The run in hindsight; None without.
         keyframes: A few in order of time, the first and last image among them.
         moments: The belief at up to 300 images, in order of time.
         skipped: Number of images and other messages skipped, by reason.
@@ -185,16 +186,16 @@ class RunRecord:
     skipped: Mapping[str, int]
     images: ImageCounts | None
     peak_rss_mb: float | None
-    smoothed_agreement: Float64[np.ndarray, " n"] | None = None
+    look_back: LookBack | None = None
     storeys: Storeys | None = None
     storey_belief: Float64[np.ndarray, "n f"] | None = None
     num_verified: int | None = None
     landmarks: ShownLandmarks | None = None
 
-    def with_methods(self, poses: Mapping[str, Poses]) -> RunRecord:
-        """The same with methods that see the whole run at once: world_from_camera, (n,), by name."""
-        more = {name: Trajectory(self.times_ns, each) for name, each in poses.items()}
-        return replace(self, methods=in_order({**self.methods, **more}))
+    def in_hindsight(self, look_back: LookBack) -> RunRecord:
+        """The same with the run in hindsight, and its trajectories among the methods."""
+        more = {name: Trajectory(self.times_ns, each.poses) for name, each in look_back.trajectories.items()}
+        return replace(self, methods=in_order({**self.methods, **more}), look_back=look_back)
 
 
 class RunRecorder:
@@ -245,6 +246,11 @@ class RunRecorder:
         if len(self._keyframes) > _MOST_KEYFRAMES:
             self._keyframes = choose_keyframes(self._keyframes, _MOST_KEYFRAMES)
 
+    @property
+    def times_ns(self) -> Int64[np.ndarray, " n"]:
+        """Stamps of the images so far, (n,)."""
+        return np.array(self._times_ns, np.int64)
+
     def finish(
         self,
         *,
@@ -264,7 +270,7 @@ class RunRecorder:
         if self._truth:
             truth_ns, true_poses = zip(*self._truth, strict=True)
             truth = Trajectory(np.array(truth_ns, np.int64), Poses.stack(list(true_poses)))
-        times_ns = np.array(self._times_ns, np.int64)
+        times_ns = self.times_ns
         methods = self._poses | ({"dead_reckoning": self._dead_reckoning} if self._has_odometry else {})
         return RunRecord(
             times_ns=times_ns,

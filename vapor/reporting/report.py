@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float64
 
 from filtering.estimate import STATUSES
 from sequences.atomic import atomic_output
@@ -20,6 +20,7 @@ from vapor.evaluation.consistency import evaluate_consistency
 from vapor.evaluation.storeys import evaluate_storeys
 from vapor.evaluation.trajectory import TAIL_M, THRESHOLDS, associate, evaluate_methods
 from vapor.reporting.record import RunRecord
+from vapor.tracking.hindsight import LookBack
 from vapor.tracking.methods import METHODS, in_order
 
 if TYPE_CHECKING:
@@ -34,10 +35,14 @@ def build_report(record: RunRecord) -> dict[str, Any]:
 
     Returns:
         `frames`, `frames_with_true_pose`, `skipped`, `images` (see `ImageCounts`), `duration_s`, `status` (fraction of
-        the images by status), `smoothed_doubtful` (number of poses; null without a smoothed trajectory), `particles`
-        (median), `step_ms`, `peak_rss_mb`, `verified` (fraction of the images, with landmarks only) and `storeys` (see
+        the images by status), `smoothed_doubtful` (number of poses; null without a smoothed trajectory), `hindsight`
+        (see below; null without), `particles` (median), `step_ms`, `peak_rss_mb`, `verified` (fraction of the images, with landmarks only) and `storeys` (see
         `evaluate_storeys`; null where there is one only). With true poses also each method's metrics (see
         `evaluate_trajectory`) and `consistency` (see `evaluate_consistency`).
+
+        `hindsight`: `ambiguous` (number of smoothed poses), `second_probability` (of the second trajectory's end; 0
+        where there is none), `carried_off_s` (when the camera was carried off, seconds since the first image), and with
+        true poses `consistency` of the smoothed poses that fit, and `fixed_lag_consistency` with a lag.
     """
     counts = Counter(record.status)
     frames = len(record.times_ns)
@@ -52,6 +57,7 @@ def build_report(record: RunRecord) -> dict[str, Any]:
         "duration_s": float(record.times_ns[-1] - record.times_ns[0]) / 1e9,
         "status": {name: counts[name] / frames for name in STATUSES},
         "smoothed_doubtful": None if doubts is None else int(doubts.sum()),
+        "hindsight": None,
         "particles": int(np.median(record.num_particles)),
         "step_ms": {"p50": float(p50), "p95": float(p95)},
         "peak_rss_mb": record.peak_rss_mb,
@@ -67,12 +73,29 @@ def build_report(record: RunRecord) -> dict[str, Any]:
         report["consistency"] = evaluate_consistency(
             record.methods["filter"], record.covariance, converged, record.truth
         )
+    if record.look_back is not None:
+        report["hindsight"] = _hindsight(record, record.look_back)
     return _rounded(report)
+
+
+def _hindsight(record: RunRecord, look_back: LookBack) -> dict[str, Any]:
+    second, carried_off = look_back.second, np.flatnonzero(look_back.carried_off)
+    part: dict[str, Any] = {
+        "ambiguous": int(look_back.ambiguous.sum()),
+        "second_probability": 0.0 if second is None else float(second.probability[-1]),
+        "carried_off_s": ((record.times_ns[carried_off] - record.times_ns[0]) / 1e9).tolist(),
+    }
+    if record.truth is not None:
+        fits = (look_back.agreement >= FITS) & ~look_back.ambiguous
+        for name, trajectory in look_back.trajectories.items():
+            key = "consistency" if name == "smoothed" else f"{name}_consistency"
+            part[key] = evaluate_consistency(record.methods[name], trajectory.covariance, fits, record.truth)
+    return part
 
 
 def doubtful(record: RunRecord) -> Bool[np.ndarray, " n"] | None:
     """Which smoothed poses the images about them do not fit, (n,); None without a smoothed trajectory."""
-    return None if record.smoothed_agreement is None else record.smoothed_agreement < FITS
+    return None if record.look_back is None else record.look_back.agreement < FITS
 
 
 def doubtful_notice(record: RunRecord) -> str | None:
@@ -94,17 +117,27 @@ def write_status(path: Path, record: RunRecord) -> None:
     """Write how good the pose of each image is, as CSV.
 
     `status`, `std_m`, `std_deg`: the filter's status, and standard deviations of its pose along the widest axis of
-    position and rotation. `smoothed`: whether the images about the smoothed pose fit it, `fits` or `doubtful`.
+    position and rotation. `smoothed`: whether the images about the smoothed pose fit it, `fits` or `doubtful`; or
+    `ambiguous` where the second trajectory is at another place. `smoothed_std_m`, `smoothed_std_deg`: of the smoothed
+    pose. `carried_off`: 1 where the camera was carried off before the image.
     """
-    widest = [
-        np.sqrt(np.linalg.eigvalsh(record.covariance[:, part, part]))[:, -1] for part in (slice(0, 3), slice(3, 6))
-    ]
-    doubts = doubtful(record)
-    fits = [""] * len(record.times_ns) if doubts is None else np.where(doubts, "doubtful", "fits").tolist()
+    columns = [format_time(time_ns) for time_ns in record.times_ns.tolist()], record.status, *_widest(record.covariance)
+    if (back := record.look_back) is None:
+        columns += ([""] * len(record.times_ns),) * 4
+    else:
+        fits = np.where(back.agreement < FITS, "doubtful", np.where(back.ambiguous, "ambiguous", "fits"))
+        columns += (fits, *_widest(back.trajectories["smoothed"].covariance), back.carried_off.astype(int))
     with atomic_output(path) as partial, open(partial, "w", encoding="ascii") as file:
-        file.write("time,status,std_m,std_deg,smoothed\n")
-        for time_ns, status, std_m, std_rad, fit in zip(record.times_ns, record.status, *widest, fits, strict=True):
-            file.write(f"{format_time(int(time_ns))},{status},{std_m:.4f},{np.degrees(std_rad):.3f},{fit}\n")
+        file.write("time,status,std_m,std_deg,smoothed,smoothed_std_m,smoothed_std_deg,carried_off\n")
+        file.writelines(",".join(map(str, row)) + "\n" for row in zip(*columns, strict=True))
+
+
+def _widest(covariance: Float64[np.ndarray, "n 6 6"]) -> tuple[list[str], list[str]]:
+    """Standard deviations along the widest axis of position and rotation, metres and degrees."""
+    std_m, std_rad = (
+        np.sqrt(np.linalg.eigvalsh(covariance[:, part, part]))[:, -1] for part in (slice(0, 3), slice(3, 6))
+    )
+    return [f"{each:.4f}" for each in std_m], [f"{each:.3f}" for each in np.degrees(std_rad)]
 
 
 def is_report(path: Path, keys: Collection[str]) -> bool:

@@ -8,8 +8,10 @@ from collections.abc import Mapping
 from contextlib import ExitStack, suppress
 from pathlib import Path
 
+import numpy as np
+from jaxtyping import Int64
+
 from filtering.errors import VaporTrackError
-from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.frame import Frame
 from sequences.reading.counts import ImageCounts
@@ -17,6 +19,7 @@ from sequences.recordings.estimate_messages import PUBLISHED_PARTICLES, Estimate
 from vapor.reporting.record import RunRecord, RunRecorder
 from vapor.reporting.rerun_place import Place
 from vapor.reporting.rerun_viewer import RerunViewer
+from vapor.tracking.hindsight import LookBack
 from vapor.tracking.loop import Step
 
 
@@ -63,12 +66,27 @@ class RunOutputs:
         if self._viewer is not None:
             self._viewer.log(frame, estimate, step.observation.posterior.samples)
 
+    @property
+    def times_ns(self) -> Int64[np.ndarray, " n"]:
+        """Stamps of the images so far, (n,)."""
+        return self._recorder.times_ns
+
     def record(
-        self, *, skipped: Mapping[str, int], images: ImageCounts, at_end: Mapping[str, Poses] | None = None
+        self, *, skipped: Mapping[str, int], images: ImageCounts, look_back: LookBack | None = None
     ) -> RunRecord:
-        """The record of all images, with the peak memory of this process and the methods that see the whole run."""
+        """The record of all images, with the peak memory of this process and the run in hindsight, which is written.
+
+        Raises:
+            SequenceError, VaporTrackError: it cannot be written.
+        """
         record = self._recorder.finish(skipped=skipped, images=images, peak_rss_mb=_peak_rss_mb())
-        record = record.with_methods(at_end or {})
+        if look_back is not None:
+            record = record.in_hindsight(look_back)
+            for name, trajectory in look_back.trajectories.items():
+                try:
+                    self._writer.write_trajectory(name, record.times_ns, trajectory.poses, trajectory.covariance)
+                except OSError as error:
+                    raise SequenceError(f"{self._writer.path}: cannot write: {error.strerror or error}") from error
         if self._viewer is not None:
             self._viewer.log_at_end(record.methods, record.truth)
         return record

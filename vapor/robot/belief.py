@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections import deque
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float64
 
 from filtering.estimate import Estimate
+from filtering.hindsight import FilterStep
 from filtering.localizer import ParticleLocalizer
 from filtering.measurement_noise import MeasurementNoise
 from filtering.motion import Odometry
@@ -22,6 +25,10 @@ from sequences.live.reader import LiveReader
 from sequences.odometry_fit.result import OdometryFit
 from vapor.observation import VaporObservationModel
 from vapor.robot.network import Job
+from vapor.tracking.hindsight import fixed_lag_smoother
+
+if TYPE_CHECKING:
+    from filtering.fixed_lag import LaggedPose
 
 _NEW_VIEW, _VERIFIED_S = 0.1, 1.0  # normalized distance and seconds until landmarks are looked for again
 _FITS = 0.9  # agreement below which every image is looked at
@@ -79,7 +86,8 @@ class LiveBelief:
     """The belief about a robot that moves on while the network processes its images.
 
     `anchor` is None before the first image. `now` is the latest published belief, later than the anchor if images are
-    missing. Without a `fit` of the model's calibration, odometry errs as it states.
+    missing. Without a `fit` of the model's calibration, odometry errs as it states. With a `lag_s` above 0 it also has
+    the pose of each image by the images until so many seconds later.
     """
 
     def __init__(
@@ -88,11 +96,16 @@ class LiveBelief:
         model: VaporObservationModel,
         reader: LiveReader,
         fit: OdometryFit | None,
+        lag_s: float = 0.0,
     ) -> None:
         self.localizer, self.reader, self._model, self._fit = localizer, reader, model, fit
         self.anchor: Anchor | None = None
         self.now: Estimate | None = None
         noise = model.description.calibration.errors.finest
+        errors = model.description.calibration.errors
+        self._smoother = None if lag_s == 0.0 else fixed_lag_smoother(errors, localizer.config, lag_s)
+        self._waiting: deque[int] = deque()  # stamps of images whose fixed-lag pose is to come
+        self._lagged: list[tuple[int, LaggedPose]] = []
         self._views = NoveltyTracker(noise.length_m, noise.length_rad)
         self._verified_s = -np.inf  # when landmarks were last looked for, of `time.monotonic`
 
@@ -131,10 +144,27 @@ class LiveBelief:
             elapsed_s = max(job.began_s - self.anchor.began_s, 0.0)
         else:
             elapsed_s = max(job.frame.time_ns - self.anchor.time_ns, 0) * 1e-9
-        estimate = self.localizer.advance(Observation.of_posterior(posterior, odometry, elapsed_s))
+        observation = Observation.of_posterior(posterior, odometry, elapsed_s)
+        estimate = self.localizer.advance(observation)
+        if self._smoother is not None:
+            self._waiting.append(job.frame.time_ns)
+            self._give(self._smoother.update(FilterStep.of(observation, estimate)))
         map_from_odom = self._map_from_odom(estimate, job.odom_from_base)
         self.anchor = Anchor(job.frame.time_ns, job.reading, estimate, map_from_odom, job.frame, job.began_s)
         return self.anchor
+
+    def take_lagged(self) -> list[tuple[int, LaggedPose]]:
+        """Fixed-lag poses of the camera that have come since the last call, with the stamps of their images."""
+        taken, self._lagged = self._lagged, []
+        return taken
+
+    def _give(self, poses: Sequence[LaggedPose]) -> None:
+        self._lagged += [(self._waiting.popleft(), pose) for pose in poses]
+
+    def _end_lag(self) -> None:
+        """Give the fixed-lag poses that are left: the next image does not follow the last one."""
+        if self._smoother is not None:
+            self._give(self._smoother.finish())
 
     def forget(self) -> None:
         """Start without a belief at the latest odometry."""
@@ -153,6 +183,7 @@ class LiveBelief:
 
     def _begin_at(self, time_ns: int | None) -> None:
         self.anchor = self.now = None
+        self._end_lag()
         self._verified_s = -np.inf
         if time_ns is not None:
             self.reader.settle(time_ns)
@@ -166,6 +197,7 @@ class LiveBelief:
         settled_ns = odometry_ns - round(_SETTLED_S * 1e9)
         motion, odom_from_base = self._restated(reader.moved_until(settled_ns)), reader.odom_from_base(settled_ns)
         reader.settle(settled_ns)
+        self._end_lag()
         self._verified_s = -np.inf  # its motion until then comes with no image
         if anchor is None:
             return

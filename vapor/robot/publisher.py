@@ -147,7 +147,7 @@ class Publisher:
         topics = {
             each.topic: each.type for each in estimate_messages(0, [], Poses.identity(0), under=self._config.under)
         }
-        for name in ("pose", "base_pose"):
+        for name in ("pose", "base_pose", *(("fixed_lag",) if self._config.lag > 0.0 else ())):
             topics[f"{self._config.under}/{name}"] = "geometry_msgs/PoseWithCovarianceStamped"
         topics["/diagnostics"] = "diagnostic_msgs/DiagnosticArray"
         if self._config.tf:
@@ -164,6 +164,12 @@ class Publisher:
         cloud = estimate.cloud(PUBLISHED_PARTICLES)
         messages = estimate_messages(time_ns, modes, cloud, under=self._config.under, frame=self._config.map_frame)
         self.last_sent = self._send(messages)
+
+    def send_lagged(self, belief: LiveBelief) -> None:
+        """Publish the fixed-lag poses of the camera that have come."""
+        topic, frame = f"{self._config.under}/fixed_lag", self._config.map_frame
+        poses = belief.take_lagged()
+        self._send([pose_message(topic, frame, ns, each.world_from_camera, each.covariance) for ns, each in poses])
 
     def send_motion(self, belief: LiveBelief, at_network: Job | None) -> None:
         """Publish the base's pose at the latest odometry, and tf; neither while the estimate is not converged."""

@@ -195,7 +195,7 @@ class LiveSession:
         observation = self._model.observation.seen_by(reader.camera.camera)
         localizer = ParticleLocalizer(observation, settings, rng=np.random.default_rng(self._config.seed))
         self._health.reader = reader
-        self._belief = LiveBelief(localizer, observation, reader, fit)
+        self._belief = LiveBelief(localizer, observation, reader, fit, self._config.lag)
         roles = reader.roles
         odometry = roles.odometry.name if roles.odometry is not None else f"tf from {roles.odometry_frame}"
         info = f", {roles.camera_info.name}" if roles.camera_info is not None else ""
@@ -336,6 +336,7 @@ class LiveSession:
             self._refuse(error)
             return
         self._believe(belief, anchor.time_ns, anchor.estimate)
+        self._publisher.send_lagged(belief)
         self._publisher.send_motion(belief, self._network.job)
         latency_ms = (self._now_ns() - job.arrived_ns) * 1e-6
         self._health.image_was_localized(latency_ms)

@@ -20,7 +20,7 @@ from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from sequences.odometry_fit.result import OdometryFit
 from vapor.tracking.ablations import ABLATIONS, Ablation
-from vapor.tracking.hindsight import hindsight_of, smoothed_belief
+from vapor.tracking.hindsight import LAG_S, hindsight_of, lagged_of, smoothed_belief
 from vapor.tracking.loop import Belief, StepLoop, elapsed_s, mode_status
 from vapor.tracking.methods import BASELINES, start_baselines
 
@@ -115,6 +115,11 @@ class Followed:
     def hindsight(self) -> Hindsight:
         """The whole segment in hindsight."""
         return hindsight_of(self.steps, self.noise, self.config)
+
+    @cached_property
+    def fixed_lag(self) -> Poses:
+        """Poses of each image by the images until two seconds later, world_from_camera, (n,)."""
+        return lagged_of(self.steps, self.noise, self.config, LAG_S).poses
 
     @cached_property
     def smoothed(self) -> Belief:

@@ -85,6 +85,7 @@ METHODS: Mapping[str, Method] = MappingProxyType(
         ),
         "filter": Method("particle filter", "trajectory.tum", "#0072b2", "ours"),
         "smoothed": Method("smoothed", "smoothed.tum", "#009e73", "ours", error_curve=False),
+        "fixed_lag": Method("fixed lag", "fixed_lag.tum", "#d55e00", "ours", error_curve=False),
     }
 )
 """The methods by their names in results and code, in the order of a report.

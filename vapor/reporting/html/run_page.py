@@ -217,6 +217,10 @@ def _counts(report: Mapping[str, Any]) -> Block:
     ]
     if report["smoothed_doubtful"] is not None:
         rows.append(("smoothed poses that images do not fit", str(report["smoothed_doubtful"])))
+    if (hindsight := report["hindsight"]) is not None:
+        rows.append(("smoothed poses of two possible places", str(hindsight["ambiguous"])))
+        if carried_off := hindsight["carried_off_s"]:
+            rows.append(("carried off, in hindsight, after", ", ".join(f"{each:.1f} s" for each in carried_off)))
     if report["peak_rss_mb"] is not None:
         rows.append(("peak memory", f"{report['peak_rss_mb']:.0f} MB"))
     return table(("", ""), rows, "Images, time and memory")
