@@ -26,7 +26,6 @@ from filtering.smoothing import SmoothingConfig, Sources
 from filtering.state_chain import (
     Chain,
     Places,
-    Prior,
     Transition,
     covariance_of,
     covariances_of,
@@ -122,6 +121,9 @@ class FixedLagSmoother:
         self._window.append(_Held(self._number, self._time_s, posterior, camera.noise, moved, to_here, searched))
         self._number, self._weight = self._number + 1, best.weight
         given: list[LaggedPose] = []
+        if to_here is not None and to_here.is_loose:
+            given += self._take(len(self._window) - 1)
+            self._chain = None
         if self._chain is None or to_here is None or not self._is_followed(self._extend(self._chain, to_here), best):
             given += self._begin_anew(best)
         while len(self._window) > 1 and self._window[-1].time_s - self._window[0].time_s >= self.lag_s - 1e-9:
@@ -151,12 +153,12 @@ class FixedLagSmoother:
         """Add the latest image to the window, and solve; the states as they are then."""
         self._chain = chain = _extended(chain, to_here)
         before, latest = self._window[-2:]
-        two = Chain(chain.poses[-2:], chain.mean[-2:])
+        two = chain.part(slice(-2, None))
         places = _places([before, latest], only_last=True)
         chosen = places.choose(two)
         self._factors += factors_of(two, [to_here], places, chosen, places.enlarged(two, chosen), before.number)[1:]
         moved = self._solve(chain)
-        if (np.abs(moved) > _RELINEARISED * np.asarray(self.noise.typical_std)).any():
+        if (np.abs(moved) > _RELINEARISED * np.asarray(self.noise.finest.typical_std)).any():
             self._linearise(self._now)
         return self._now
 
@@ -176,7 +178,7 @@ class FixedLagSmoother:
             self._window[0] = replace(self._window[0], carried_off=True)
         num_sources = len(self._window[0].moved)
         self._prior = unknown_prior(path.poses[first], self.noise, self._config.odometry_bias, num_sources)
-        self._now = Chain(path.poses[first:], np.zeros((len(self._window), 7 + 6 * (num_sources + 1))))
+        self._now = Chain.from_prior(self._prior, path.poses[first:])
         for number in range(_ROUNDS):
             self._linearise(self._now, first=number == 0)
         return given
@@ -204,12 +206,12 @@ class FixedLagSmoother:
         if self._of_first is None:  # another image has left the window since
             self._solve(chain)
         held = self._window[0]
-        covariance = covariance_of(self._of_first)
+        covariance = covariance_of(self._of_first, chain.units)
         given = LaggedPose(held.number, self._now.poses[0], covariance, self._weight, held.carried_off)
         own = [prior_factor(self._prior, chain, self._key), *self._factors[0], self._factors[1][0]]
         self._prior = marginalised(own, chain)
         self._window, self._factors = self._window[1:], [self._factors[1][1:], *self._factors[2:]]
-        self._chain, self._now = (Chain(each.poses[1:], each.mean[1:]) for each in (chain, self._now))
+        self._chain, self._now = (each.part(slice(1, None)) for each in (chain, self._now))
         self._of_first = None
         return given
 
@@ -219,7 +221,7 @@ class FixedLagSmoother:
             return []
         # The latest image may not be in the graph yet.
         known = min(count, len(self._factors))
-        covariances = covariances_of(self._graph, range(self._key, self._key + known))
+        covariances = covariances_of(self._graph, range(self._key, self._key + known), self._chain.units)
         held, self._window = self._window[:count], self._window[count:]
         return [
             LaggedPose(each.number, pose, covariance, self._weight, each.carried_off)
@@ -239,4 +241,4 @@ def _extended(chain: Chain, to_here: Transition) -> Chain:
     errs = (to_here.matrix[POSE, BIAS] @ mean[0, :7])[None]
     pose = chain.poses[-1:] @ (to_here.previous_from_current @ Poses.exp(errs))
     rest = np.diagonal(to_here.matrix)[6:] * mean
-    return Chain(Poses.concatenate([chain.poses, pose]), np.concatenate([chain.mean, rest]))
+    return Chain(Poses.concatenate([chain.poses, pose]), np.concatenate([chain.mean, rest]), chain.units)

@@ -141,7 +141,6 @@ def _possible(weight: float, noise: MeasurementNoise) -> float:
     return weight / (weight + noise.possible_fraction)
 
 
-
 def _within_map(
     trajectory: Poses, posteriors: Sequence[PosePosterior], noise: MeasurementNoise
 ) -> Bool[np.ndarray, " n"]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +26,7 @@ from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from filtering.state_chain import Places, Transition, solve, transition, unknown_prior
 from filtering.trajectory_search import Path, SearchStep, most_probable_path
+
 
 @dataclass(frozen=True)
 class SmoothingConfig:
@@ -47,9 +49,7 @@ class SmoothingConfig:
     @staticmethod
     def of_filter(config: LocalizerConfig) -> SmoothingConfig:
         """With the settings that the smoother has in common with a filter."""
-        return SmoothingConfig(
-            odometry_bias=config.odometry_bias, gap=config.gap, adapt_errors=config.adapt_errors
-        )
+        return SmoothingConfig(odometry_bias=config.odometry_bias, gap=config.gap, adapt_errors=config.adapt_errors)
 
 
 @dataclass(frozen=True)
@@ -71,9 +71,7 @@ class Prepared:
     transitions: tuple[Transition, ...]
 
 
-def smooth(
-    steps: Sequence[FilterStep], noise: MeasurementNoise, config: SmoothingConfig | None = None
-) -> Hindsight:
+def smooth(steps: Sequence[FilterStep], noise: MeasurementNoise, config: SmoothingConfig | None = None) -> Hindsight:
     """The most probable trajectory given all images and all odometry, and the second one where that is undecided.
 
     Args:
@@ -195,9 +193,7 @@ def _prepare(steps: Sequence[FilterStep], noise: MeasurementNoise, config: Smoot
     return Prepared(tuple(search), posteriors, tuple(noises), np.array(distances), tuple(transitions))
 
 
-def _path(
-    prepared: Prepared, part: slice, end: Mode, noise: MeasurementNoise, config: SmoothingConfig
-) -> Path:
+def _path(prepared: Prepared, part: slice, end: Mode, noise: MeasurementNoise, config: SmoothingConfig) -> Path:
     return most_probable_path(prepared.steps[part], end.world_from_camera, noise, config.kidnap_rate, config.gap)
 
 
@@ -205,8 +201,16 @@ def _trajectory(
     prepared: Prepared, part: slice, start: Poses, probability: float, noise: MeasurementNoise, config: SmoothingConfig
 ) -> SmoothedTrajectory:
     """The trajectory over a part of the images without a break, from poses (n,) that are near it."""
-    places = Places(prepared.posteriors[part], prepared.moved[part], prepared.noise[part])
-    prior = unknown_prior(start[0], noise, config.odometry_bias, prepared.moved.shape[1])
-    transitions = prepared.transitions[part.start : part.stop - 1]
-    chain, covariance = solve(start, prior, transitions, places, noise)
-    return SmoothedTrajectory(chain.poses, covariance, np.full(len(start), probability))
+    loose = [i for i in range(part.start + 1, part.stop) if prepared.transitions[i - 1].is_loose]
+    poses, covariances = [], []
+    for begin, end in pairwise([part.start, *loose, part.stop]):
+        own = slice(begin, end)
+        places = Places(prepared.posteriors[own], prepared.moved[own], prepared.noise[own])
+        here = start[begin - part.start : end - part.start]
+        prior = unknown_prior(here[0], noise, config.odometry_bias, prepared.moved.shape[1])
+        chain, covariance = solve(here, prior, prepared.transitions[begin : end - 1], places, noise)
+        poses.append(chain.poses)
+        covariances.append(covariance)
+    return SmoothedTrajectory(
+        Poses.concatenate(poses), np.concatenate(covariances), np.full(part.stop - part.start, probability)
+    )

@@ -11,6 +11,7 @@ smoothing); Olson and Agarwal, "Inference on networks of mixtures", 2013 (max-mi
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -21,6 +22,7 @@ from scipy.linalg import solve_triangular
 from scipy.special import gammaln
 
 from filtering.association import UNUSUAL
+from filtering.errors import VaporTrackError
 from filtering.hypotheses import BIAS, DRIFT, POSE, correlated_error
 from filtering.measurement_noise import MeasurementNoise
 from filtering.motion import Odometry, OdometryBias
@@ -28,8 +30,11 @@ from filtering.posterior import PosePosterior
 from filtering.prediction import motion_of_state
 from filtering.se3 import Poses
 
-_EXACT = 1e-6  # of a variance: what is known exactly keeps so much
+_EXACT = 1e-5  # of a variance: what is known exactly keeps so much
+_LEAST_SCALE = 1e-2  # standard deviation of the scale error of odometry, below which the unit is this
 _UNKNOWN = 1e4  # ordinary variances of an image: a pose before its first
+_LOOSE, _LEVER = 1e3, 1e5  # ordinary standard deviations of an image
+_DAMPING = (0.0, 1e-3, 1e-2, 1e-1, 1.0)  # roots of information on each change, until the graph can be solved
 _MOST_ROUNDS = 10
 _SETTLED = 0.01  # ordinary standard deviations
 
@@ -41,11 +46,13 @@ class Transition(NamedTuple):
         previous_from_current: The motion of the pose, one pose.
         matrix: Of the rest: the state after it is matrix · state + noise, (d, d).
         root_information: A matrix W with WᵀW the inverse covariance of the noise, (d, d).
+        is_loose: Whether the motion says next to nothing of where the camera is afterwards.
     """
 
     previous_from_current: Poses
     matrix: Float64[np.ndarray, "d d"]
     root_information: Float64[np.ndarray, "d d"]
+    is_loose: bool
 
 
 class Prior(NamedTuple):
@@ -56,12 +63,14 @@ class Prior(NamedTuple):
         mean: Of the other parts of the state, (d − 6,).
         root_information: W, (d, d).
         rest: (d,).
+        units: See `Chain`.
     """
 
     pose: Poses
     mean: Float64[np.ndarray, " m"]
     root_information: Float64[np.ndarray, "d d"]
     rest: Float64[np.ndarray, " d"]
+    units: Float64[np.ndarray, " d"]
 
 
 @dataclass(frozen=True)
@@ -71,10 +80,21 @@ class Chain:
     Attributes:
         poses: world_from_camera, batch (n,).
         mean: Of the other parts of the states, (n, d − 6).
+        units: Of the change of a state in factors, in which all parts are about 1, (d,): GTSAM squares them.
     """
 
     poses: Poses
     mean: Float64[np.ndarray, "n m"]
+    units: Float64[np.ndarray, " d"]
+
+    @staticmethod
+    def from_prior(prior: Prior, poses: Poses) -> Chain:
+        """States at given poses, batch (n,), with the prior's mean of the rest."""
+        return Chain(poses, np.tile(prior.mean, (len(poses), 1)), prior.units)
+
+    def part(self, which: slice) -> Chain:
+        """Some of the states."""
+        return Chain(self.poses[which], self.mean[which], self.units)
 
 
 def unknown_prior(pose: Poses, noise: MeasurementNoise, odometry_bias: OdometryBias, num_sources: int) -> Prior:
@@ -87,10 +107,13 @@ def unknown_prior(pose: Poses, noise: MeasurementNoise, odometry_bias: OdometryB
         num_sources: Number of the sources of places.
     """
     size = 13 + 6 * (num_sources + 1)
-    variance = np.ones(size)
-    variance[POSE] = _UNKNOWN * np.square(noise.typical_std)
-    variance[BIAS.start] = max(odometry_bias.scale, 1e-6) ** 2
-    return Prior(pose, np.zeros(size - 6), np.diag(1.0 / np.sqrt(variance)), np.zeros(size))
+    units = np.ones(size)
+    units[POSE] = noise.finest.typical_std
+    units[BIAS.start] = max(odometry_bias.scale, _LEAST_SCALE)
+    std = units.copy()
+    std[POSE] = np.sqrt(_UNKNOWN) * np.asarray(noise.typical_std)
+    std[BIAS.start] = max(odometry_bias.scale, 1e-2 * _LEAST_SCALE)
+    return Prior(pose, np.zeros(size - 6), np.diag(1.0 / std), np.zeros(size), units)
 
 
 def transition(
@@ -116,12 +139,15 @@ def transition(
         covariance = covariance + own @ own.T
         matrix[:, DRIFT] = 0.0
     exact = np.full(len(matrix), _EXACT)
-    exact[POSE] *= np.square(noise.typical_std)
-    exact[BIAS.start] *= max(odometry_bias.scale, 1e-6) ** 2
+    exact[POSE] *= np.square(noise.finest.typical_std)
+    exact[BIAS.start] *= max(odometry_bias.scale, _LEAST_SCALE) ** 2
     covariance[np.arange(len(matrix)), np.arange(len(matrix))] += exact
     factor = np.linalg.cholesky(covariance)
     root = solve_triangular(factor, np.eye(len(matrix)), lower=True, check_finite=False)
-    return Transition(odometry.previous_from_current, matrix, root)
+    ordinary = np.asarray(noise.typical_std)
+    loose = np.sqrt(covariance.diagonal()[POSE]).max() > _LOOSE * ordinary.max()
+    loose |= np.linalg.norm(odometry.tangent[:3]) > _LEVER * ordinary[:3].max()
+    return Transition(odometry.previous_from_current, matrix, root, bool(loose))
 
 
 class Places:
@@ -246,24 +272,46 @@ def solve(
         places: Of the images.
         noise: Noise of the images.
     """
-    chain = Chain(start, np.tile(prior.mean, (len(start), 1)))
-    std, chosen, larger = np.asarray(noise.typical_std), np.zeros(0, np.int64), np.zeros(0)
+    chain = Chain.from_prior(prior, start)
+    std, chosen, larger = np.asarray(noise.finest.typical_std), np.zeros(0, np.int64), np.zeros(0)
     for number in range(_MOST_ROUNDS):
         before, chosen = chosen, places.choose(chain)
         larger = places.enlarged(chain, chosen) if number else np.ones(len(chosen))
         factors = factors_of(chain, transitions, places, chosen, larger)
-        chain, moved = updated(chain, graph_of(prior_factor(prior, chain), factors).optimize())
+        chain, moved = updated(chain, solved(graph_of(prior_factor(prior, chain), factors), range(len(start)))[1])
         if number and np.array_equal(before, chosen) and (np.abs(moved) < _SETTLED * std).all():
             break
     factors = factors_of(chain, transitions, places, chosen, larger)
     graph = graph_of(prior_factor(prior, chain), factors)
-    return chain, covariances_of(graph, range(len(start)))
+    return chain, covariances_of(graph, range(len(start)), chain.units)
 
 
-def covariances_of(graph: gtsam.GaussianFactorGraph, keys: Sequence[int]) -> Float64[np.ndarray, "n 6 6"]:
-    """Covariances of the poses of some states."""
-    marginals = gtsam.Marginals(graph, graph.optimize())
-    return np.stack([marginals.marginalCovariance(key)[POSE, POSE] for key in keys])
+def solved(
+    graph: gtsam.GaussianFactorGraph, keys: Sequence[int]
+) -> tuple[gtsam.GaussianFactorGraph, gtsam.VectorValues]:
+    """The changes of all states, by their keys; the graph is damped where it is singular in double precision.
+
+    Raises:
+        VaporTrackError: it is singular all the same.
+    """
+    size, unit = graph.at(0).getA().shape[1], None
+    for damping in _DAMPING:
+        if damping:
+            unit = unit or gtsam.noiseModel.Unit.Create(size)
+            for key in keys:
+                graph.push_back(gtsam.JacobianFactor(key, damping * np.eye(size), np.zeros(size), unit))
+        with suppress(RuntimeError):
+            return graph, graph.optimize()
+    raise VaporTrackError(f"the states of {len(keys)} images cannot be solved for, expected finite motions and places")
+
+
+def covariances_of(
+    graph: gtsam.GaussianFactorGraph, keys: Sequence[int], units: Float64[np.ndarray, " d"]
+) -> Float64[np.ndarray, "n 6 6"]:
+    """Covariances of the poses of all states, by their keys."""
+    marginals = gtsam.Marginals(*solved(graph, keys))
+    covariances = np.stack([marginals.marginalCovariance(key)[POSE, POSE] for key in keys])
+    return covariances * np.multiply.outer(units[POSE], units[POSE])
 
 
 def solved_from_first(
@@ -279,13 +327,22 @@ def solved_from_first(
     ordering = gtsam.Ordering()
     for key in range(first + count - 1, first - 1, -1):
         ordering.push_back(key)
-    eliminated = graph.eliminateSequential(ordering)
-    return eliminated.optimize(), np.array(eliminated.at(count - 1).R())  # a view of GTSAM's memory
+    with suppress(RuntimeError):
+        eliminated = graph.eliminateSequential(ordering)
+        root = np.array(eliminated.at(count - 1).R())  # a view of GTSAM's memory
+        if (np.abs(root.diagonal()) > 0.0).all():
+            return eliminated.optimize(), root
+    damped, _ = solved(graph, range(first, first + count))
+    eliminated = damped.eliminateSequential(ordering)
+    return eliminated.optimize(), np.array(eliminated.at(count - 1).R())
 
 
-def covariance_of(root_information: Float64[np.ndarray, "d d"]) -> Float64[np.ndarray, "6 6"]:
-    """Covariance of the pose of a state, by an upper triangular root of the information on the state."""
+def covariance_of(
+    root_information: Float64[np.ndarray, "d d"], units: Float64[np.ndarray, " d"]
+) -> Float64[np.ndarray, "6 6"]:
+    """Covariance of the pose of a state, by an upper triangular root of the information on its change."""
     half = solve_triangular(root_information, np.eye(len(root_information)), check_finite=False)[POSE]
+    half *= units[POSE, None]
     return half @ half.T
 
 
@@ -302,7 +359,7 @@ def marginalised(factors: Sequence[gtsam.JacobianFactor], chain: Chain) -> Prior
         whole = own if len(factor.keys()) > 1 else np.pad(own, ((0, 0), (0, size)))
         rows.append(np.column_stack([whole, factor.getb()]))
     triangle = np.linalg.qr(np.concatenate(rows), mode="r")[size : 2 * size, size:]
-    return Prior(chain.poses[1], chain.mean[1], triangle[:, :size], triangle[:, size])
+    return Prior(chain.poses[1], chain.mean[1], triangle[:, :size] / chain.units, triangle[:, size], chain.units)
 
 
 def graph_of(
@@ -320,8 +377,9 @@ def graph_of(
 def prior_factor(prior: Prior, chain: Chain, key: int = 0) -> gtsam.JacobianFactor:
     """The factor of the change of the first state by a prior."""
     off = np.concatenate([prior.pose.between(chain.poses[0]).log(), chain.mean[0] - prior.mean])
+    value = prior.rest - prior.root_information @ off
     return gtsam.JacobianFactor(
-        key, prior.root_information, prior.rest - prior.root_information @ off, gtsam.noiseModel.Unit.Create(len(off))
+        key, prior.root_information * chain.units, value, gtsam.noiseModel.Unit.Create(len(off))
     )
 
 
@@ -358,22 +416,22 @@ def factors_of(
         off[:, POSE] = chain.poses[1:].between(expected).log()
         rest = np.einsum("nii->ni", matrices)[:, 6:]
         off[:, 6:] = rest * chain.mean[:-1] - chain.mean[1:]
-        before, value = -roots @ matrices, (roots @ off[:, :, None])[:, :, 0]
+        before, value = -roots @ matrices * chain.units, (roots @ off[:, :, None])[:, :, 0]
+        roots = roots * chain.units
         for i in range(len(transitions)):
             factors[i + 1].append(gtsam.JacobianFactor(key + i, before[i], key + i + 1, roots[i], value[i], whole))
     if len(chosen):
         jacobian, value = places.measurements(chain, chosen, larger)
         own = chain.mean[places.image[chosen]]
         value = value - (jacobian[:, :, 6:] @ own[:, :, None])[:, :, 0]
+        jacobian *= chain.units
         for i, each, measured in zip(places.image[chosen].tolist(), jacobian, value, strict=True):
             factors[i].append(gtsam.JacobianFactor(key + i, each, measured, of_place))
     return factors
 
 
-def updated(
-    chain: Chain, change: gtsam.VectorValues, key: int = 0
-) -> tuple[Chain, Float64[np.ndarray, "n 6"]]:
+def updated(chain: Chain, change: gtsam.VectorValues, key: int = 0) -> tuple[Chain, Float64[np.ndarray, "n 6"]]:
     """The chain after a change of its states, whose keys count up from one, and the change of its poses."""
-    changes = np.stack([change.at(key + i) for i in range(len(chain.poses))])
+    changes = np.stack([change.at(key + i) for i in range(len(chain.poses))]) * chain.units
     poses = (chain.poses @ Poses.exp(changes[:, POSE])).orthonormal()
-    return Chain(poses, chain.mean + changes[:, 6:]), changes[:, POSE]
+    return Chain(poses, chain.mean + changes[:, 6:], chain.units), changes[:, POSE]

@@ -9,14 +9,17 @@ from hypothesis import strategies as st
 
 from filtering.config import LocalizerConfig
 from filtering.errors import VaporTrackError
-from filtering.estimate import Mode, posterior_modes
+from filtering.estimate import Mode
+from filtering.fixed_lag import FixedLagSmoother
+from filtering.hindsight import FilterStep, trajectory_agreement
 from filtering.kalman import KalmanLocalizer
 from filtering.localizer import ParticleLocalizer
 from filtering.moments import require_sound, settle
 from filtering.motion import MotionNoise, Odometry
+from filtering.observation import Observation
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
-from filtering.smoothing import smooth, trajectory_agreement
+from filtering.smoothing import smooth
 from tests.helpers.simulation import ERRORS, lifted, seen_at
 from vapor.tracking.methods import gaussian_sum
 
@@ -78,26 +81,26 @@ def test_whatever_odometry_says_poses_are_finite_and_covariances_positive_defini
     filters = [ParticleLocalizer(None, each, rng=np.random.default_rng(0)) for each in (config, gaussian_sum(config))]
     kalman = KalmanLocalizer()
     first = seen_at(lifted(Poses.identity(), [0.0, 3.0, 6.0]), [0.5, 0.3, 0.2])
-    images, motions, distances, best = [], [], [], []
+    steps = []
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         for posterior, odom, elapsed_s in [(first, None, 0.1), *taken(found)]:
             for each in filters:
-                estimate = each.update(posterior, odom, elapsed_s=elapsed_s)
+                observation = Observation.of_posterior(posterior, odom, elapsed_s)
+                estimate = each.advance(observation)
                 assert_sound(estimate.particles, estimate.covariances)
                 for mode in estimate.modes:
                     assert_sound(mode.world_from_camera, mode.covariance)
             mode = kalman.update(posterior, odom, elapsed_s=elapsed_s)
             assert_sound(mode.world_from_camera, mode.covariance)
-            images.append(posterior)
-            motions.append(odom)
-            distances.append(estimate.normalized_distance)
-            best.append(estimate.modes[0].world_from_camera)
-        modes = [posterior_modes(image) for image in images]
-        sure = np.zeros(len(images), bool)
-        smoothed = smooth(modes, motions, np.array(distances), Poses.stack(best), sure, ERRORS)
-        assert smoothed.is_finite().all()
-        fits = trajectory_agreement(smoothed, np.arange(len(images)) * 100_000_000, modes, ERRORS)
+            steps.append(FilterStep.of(observation, estimate))
+        smoothed = smooth(steps, ERRORS).best
+        assert_sound(smoothed.poses, smoothed.covariance)
+        lagged = FixedLagSmoother(0.5, ERRORS)
+        for found_later in [*(lagged.update(step) for step in steps), lagged.finish()]:
+            for each in found_later:
+                assert_sound(each.world_from_camera, each.covariance)
+        fits = trajectory_agreement(smoothed.poses, np.arange(len(steps)) * 100_000_000, steps, ERRORS)
     assert ((fits >= 0.0) & (fits <= 1.0)).all()
 
 

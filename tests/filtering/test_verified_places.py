@@ -7,12 +7,13 @@ import pytest
 
 from filtering.config import LocalizerConfig
 from filtering.errors import VaporTrackError
-from filtering.estimate import posterior_modes
+from filtering.hindsight import FilterStep
 from filtering.kalman import KalmanLocalizer
 from filtering.localizer import ParticleLocalizer
 from filtering.mapped_views import MappedViews
 from filtering.measurement_noise import MeasurementNoise
 from filtering.motion import Odometry
+from filtering.observation import Observation
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from filtering.smoothing import smooth
@@ -108,10 +109,10 @@ def test_the_kalman_filter_takes_verified_places_first():
 
 def test_the_smoother_weighs_verified_places_by_their_own_errors():
     posteriors = [seen([0.1 * k + 0.3], [0.1 * k] if k in (0, 20) else ()) for k in range(21)]
-    truth = at(*(0.1 * k for k in range(21)))
-    modes = [posterior_modes(each) for each in posteriors]
-    assert [m.verified for m in modes[0]] == [True, False]
-    found = smooth(modes, [STEP] * 21, np.full(21, 0.2), truth, np.ones(21, bool), ERRORS)
+    truth, filtering = at(*(0.1 * k for k in range(21))), localizer()
+    observations = [Observation.of_posterior(each, STEP if k else None, 0.1) for k, each in enumerate(posteriors)]
+    steps = [FilterStep.of(each, filtering.advance(each)) for each in observations]
+    found = smooth(steps, ERRORS).best.poses
     assert np.abs(found.translation[:, 0] - truth.translation[:, 0]).max() < 0.05
 
 

@@ -12,6 +12,7 @@ from filtering.estimate import Estimate, Mode, Status, posterior_modes
 from filtering.observation import Observation
 from filtering.se3 import Poses
 
+
 @runtime_checkable
 class Localizer(Protocol):
     """The filter: `ParticleLocalizer`, or an ablation of it."""

@@ -42,11 +42,11 @@ def result(
         "kidnap": {"right_before": True, "images": recovered} if kind == "kidnap" else None,
     }
     methods = dict.fromkeys(("single_image", "dead_reckoning"), metrics)
-    methods |= dict.fromkeys(("kalman", "gaussian_sum", "filter", "smoothed"), tracked)
+    methods |= dict.fromkeys(("kalman", "gaussian_sum", "filter", "smoothed", "fixed_lag"), tracked)
     return {
         "name": f"ceiling-{kind}-{converged}", "scene": "ceiling", "kind": kind, "walk": walk, "variant": "full",
         "images": 100, "cue_images": 3, "methods": methods,
-        "belief": dict.fromkeys(("filter", "kalman", "gaussian_sum"), belief),
+        "belief": dict.fromkeys(("filter", "kalman", "gaussian_sum", "smoothed"), belief),
         "image_truth_among_modes": 0.8, "particles": 100, "step_ms": 4.0,
     }  # fmt: skip
 

@@ -94,7 +94,14 @@ def test_a_run_prints_its_table_and_where_things_lie_and_no_error(finished):
 def test_the_report_has_exactly_the_keys_of_its_contract(finished):
     report = report_of(finished.directory)
     about = {"frames", "frames_with_true_pose", "skipped", "images", "duration_s", "status", "particles"}
-    assert set(report) == METHODS | about | {"smoothed_doubtful", "step_ms", "peak_rss_mb", "consistency", "storeys"}
+    assert set(report) == METHODS | about | {
+        "smoothed_doubtful",
+        "hindsight",
+        "step_ms",
+        "peak_rss_mb",
+        "consistency",
+        "storeys",
+    }
     assert set(report["consistency"]) == {"images", "wrong", "coverage", "median_nees"}
     assert report["frames"] == 25
     assert report["skipped"] == {}
@@ -140,14 +147,21 @@ def test_every_trajectory_has_a_pose_for_every_image(finished, walk_of_25):
 def test_the_status_says_of_every_pose_what_is_to_be_thought_of_it(finished):
     with (finished.directory / "status.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert list(rows[0]) == ["time", "status", "std_m", "std_deg", "smoothed"]
+    assert list(rows[0]) == [
+        "time",
+        "status",
+        "std_m",
+        "std_deg",
+        "smoothed",
+        *("smoothed_std_m", "smoothed_std_deg", "carried_off"),
+    ]
     lines = (finished.directory / "smoothed.tum").read_text().splitlines()
     assert [row["time"] for row in rows] == [line.split()[0] for line in lines]
     shares = Counter(row["status"] for row in rows)
     said = report_of(finished.directory)["status"]
     assert {name: shares[name] / 25 for name in said} == pytest.approx(said)
     smoothed = Counter(row["smoothed"] for row in rows)
-    assert smoothed.keys() <= {"fits", "doubtful"}
+    assert smoothed.keys() <= {"fits", "doubtful", "ambiguous"}
     assert report_of(finished.directory)["smoothed_doubtful"] == smoothed["doubtful"]
     told = f"{smoothed['doubtful']} of 25 smoothed poses are doubtful: images about them do not fit (status.csv)"
     assert (told in finished.printed) == (smoothed["doubtful"] > 0)

@@ -5,13 +5,15 @@ import pytest
 
 from filtering.config import LocalizerConfig
 from filtering.estimate import Mode
+from filtering.hindsight import FilterStep
 from filtering.localizer import ParticleLocalizer
 from filtering.observation import Observation
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from tests.helpers.simulation import lifted, motion, seen_at
-from vapor.tracking.loop import MOST_MODES, History, Localizer, StepLoop, Tracker, elapsed_s
-from vapor.tracking.methods import BASELINES, METHODS, in_order, poses_at_end, start_baselines
+from vapor.tracking.hindsight import LookBack
+from vapor.tracking.loop import Localizer, StepLoop, Tracker, elapsed_s
+from vapor.tracking.methods import BASELINES, METHODS, in_order, start_baselines
 
 ONWARD = motion(0.1, 0, 0, 0, 0, 0)
 S = 1_000_000_000
@@ -36,7 +38,12 @@ def test_every_method_has_a_label_a_file_and_a_color_of_its_own():
     for field in ("label", "file", "color"):
         assert len({getattr(method, field) for method in METHODS.values()}) == len(METHODS)
     assert BASELINES == ("kalman", "gaussian_sum")
-    assert [name for name, method in METHODS.items() if method.can_converge] == [*BASELINES, "filter", "smoothed"]
+    assert [name for name, method in METHODS.items() if method.can_converge] == [
+        *BASELINES,
+        "filter",
+        "smoothed",
+        "fixed_lag",
+    ]
     assert list(in_order({"filter": 2, "frames": 3, "kalman": 1})) == ["kalman", "filter"]
 
 
@@ -72,24 +79,21 @@ def test_where_an_image_is_uninformative_its_places_are_those_of_the_last_one_th
     alike = seen_at(lifted(Poses.identity(), [0.0, 3.0]), [0.6, 0.4])
     seen = loop.step(Observation.of_posterior(alike, None), observe_ms=0.0)
     assert [mode.weight for mode in seen.image_modes] == [0.6, 0.4]
-    assert seen.evidence == seen.image_modes
     empty = loop.step(Observation.of_posterior(PosePosterior.uninformative(), ONWARD), observe_ms=0.0)
-    assert (empty.image_modes, empty.evidence) == (seen.image_modes, ())
+    assert empty.image_modes == seen.image_modes
     outside = seen_at(Poses.identity(), ood_score=3.0)
     unlike = loop.step(Observation.of_posterior(outside, ONWARD), observe_ms=0.0)
     assert len(unlike.image_modes) == 1
-    assert unlike.evidence == ()
 
 
 @pytest.mark.usefixtures("unchecked")
-def test_a_history_has_what_methods_at_the_end_need():
-    loop, history, config = loop_of(), History(), LocalizerConfig()
+def test_a_look_back_needs_a_few_kilobytes_of_an_image_and_has_a_pose_for_each():
+    loop, config, steps = loop_of(), LocalizerConfig(), []
     many = seen_at(lifted(Poses.identity(), np.arange(20.0)), np.full(20, 0.05))
     for i in range(4):
-        history.add(loop.step(Observation.of_posterior(many, ONWARD if i else None), observe_ms=0.0))
-    assert [len(modes) for modes in history.evidence] == [MOST_MODES] * 4
-    assert history.odometry == [None, ONWARD, ONWARD, ONWARD]
-    assert len(history.normalized_distances) == len(history.converged) == len(history.filtered) == 4
-    poses = poses_at_end(history, many.noise, config)
-    assert list(poses) == ["smoothed"]
-    assert poses["smoothed"].batch_shape == (4,)
+        observation = Observation.of_posterior(many, ONWARD if i else None)
+        steps.append(FilterStep.of(observation, loop.step(observation, observe_ms=0.0).estimate))
+    assert [len(step.posterior.weights) for step in steps] == [16] * 4
+    back = LookBack.on(steps, np.arange(4) * 100_000_000, many.noise, config, lag_s=0.2)
+    assert list(back.trajectories) == ["smoothed", "fixed_lag"]
+    assert all(len(each.poses) == 4 for each in back.trajectories.values())

@@ -76,17 +76,20 @@ def tables(summary: Summary) -> Iterator[Table]:
     )
     if any(part["sequences"] for row in summary.values() for part in row["sequences"].values()):
         yield _sequences(summary)
-    yield _table(
-        "confidence of the filter, %",
-        {
-            "converged": lambda row: _cell(row["filter"]["converged"], _percent),
-            "of these\nwrong": lambda row: _cell(row["filter"]["wrong"], _percent),
-            **{f"in {region.replace('%', ' %')}": _covered(region) for region in REGIONS},
-            "median\nNEES (5.3)": lambda row: _cell(row["filter"]["median_nees"], lambda nees: f"{nees:.1f}"),
-        },
-        summary,
-        "regions: of all images evaluated, and in brackets of those called converged",
-    )
+    for of, heading in (("filter", "the filter"), ("smoothed", "the smoothed poses")):
+        confidence = {name: row[of] for name, row in summary.items()}
+        yield _table(
+            f"confidence of {heading}, %",
+            {
+                "converged": lambda row: _cell(row["converged"], _percent),
+                "of these\nwrong": lambda row: _cell(row["wrong"], _percent),
+                **{f"in {region.replace('%', ' %')}": _covered(region) for region in REGIONS},
+                "median\nNEES (5.3)": lambda row: _cell(row["median_nees"], lambda nees: f"{nees:.1f}"),
+            },
+            summary,
+            "regions: of all images evaluated, and in brackets of those called converged",
+            confidence,
+        )
     if copied := {name: row for name, row in summary.items() if not row["sequences"]}:
         yield _table(
             "copied places: draws in which every image is right, %",
@@ -101,11 +104,18 @@ def tables(summary: Summary) -> Iterator[Table]:
         )
 
 
-def _table(title: str, columns: dict[str, Callable[[Aggregate], str]], summary: Summary, caption: str) -> Table:
+def _table(
+    title: str,
+    columns: dict[str, Callable[[Aggregate], str]],
+    summary: Summary,
+    caption: str,
+    values: Summary | None = None,
+) -> Table:
+    """A row of `values` for each row of the summary, or of the summary itself."""
     rows = {}
     for name, row in summary.items():
         draws = f" × {row['draws']}" if row["draws"] > 1 else ""
-        rows[f"{name}\n  {row['images']} images{draws}"] = row
+        rows[f"{name}\n  {row['images']} images{draws}"] = row if values is None else values[name]
     table = table_of(title, "", columns, rows)
     table.caption = caption
     return table
@@ -128,8 +138,8 @@ def _right(method: Aggregate) -> str:
 
 def _covered(region: str) -> Callable[[Aggregate], str]:
     def of(row: Aggregate) -> str:
-        sure = row["filter"]["coverage_converged"][region].value
-        return _cell(row["filter"]["coverage"][region], _percent, f" ({'–' if sure is None else _percent(sure)})")
+        sure = row["coverage_converged"][region].value
+        return _cell(row["coverage"][region], _percent, f" ({'–' if sure is None else _percent(sure)})")
 
     return of
 

@@ -112,9 +112,9 @@ def summarise(results: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, Any]]
         `median_rotation_deg`, `right` (fraction within 0.3 m, times the unit, and 20°) and `worse_than_0.25m`
         (fraction, the limit times the unit), `position_recall` (by limit, times the unit); `sequences`: by their length
         their number and, by method, their `success`; `whole_draws`: the fraction of the draws in which every image is
-        `right`, by method, in which the filter is `converged` in every image, and in none; `filter`: `converged`
-        (fraction of the images) and `wrong` of these, `coverage` of all images and `coverage_converged` (each by
-        region), `median_nees` of all. Every figure is the median of the draws, the lowest and the highest.
+        `right`, by method, in which the filter is `converged` in every image, and in none; `filter` and `smoothed`:
+        `converged` (fraction of the images) and `wrong` of these, `coverage` of all images and `coverage_converged`
+        (each by region), `median_nees` of all. Every figure is the median of the draws, the lowest and the highest.
     """
     rows: dict[str, list[Mapping[str, Any]]] = {}
     for result in results:
@@ -124,9 +124,7 @@ def summarise(results: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, Any]]
 
 def _summary(draws: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     first = draws[0]
-    beliefs = values_at(draws, "belief", "filter")
-    everywhere, converged = (values_at(beliefs, key) for key in ("all_images", "converged_images"))
-    sure = values_at(beliefs, "status", "converged")
+    sure = values_at(draws, "belief", "filter", "status", "converged")
     recalls = {method: values_at(draws, "methods", method, "recall", RIGHT) for method in LOCALIZING}
     return {
         "group": first["group"],
@@ -140,13 +138,18 @@ def _summary(draws: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
             "converged": float(np.mean(np.equal(sure, 1.0))),
             "never_converged": float(np.mean(np.equal(sure, 0.0))),
         },
-        "filter": {
-            "converged": spread(sure),
-            "wrong": spread(values_at(converged, "wrong")),
-            "coverage": {region: spread(values_at(everywhere, "coverage", region)) for region in REGIONS},
-            "coverage_converged": {region: spread(values_at(converged, "coverage", region)) for region in REGIONS},
-            "median_nees": spread(values_at(everywhere, "median_nees")),
-        },
+        **{name: _confidence(values_at(draws, "belief", name)) for name in ("filter", "smoothed")},
+    }
+
+
+def _confidence(beliefs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    everywhere, converged = (values_at(beliefs, key) for key in ("all_images", "converged_images"))
+    return {
+        "converged": spread(values_at(beliefs, "status", "converged")),
+        "wrong": spread(values_at(converged, "wrong")),
+        "coverage": {region: spread(values_at(everywhere, "coverage", region)) for region in REGIONS},
+        "coverage_converged": {region: spread(values_at(converged, "coverage", region)) for region in REGIONS},
+        "median_nees": spread(values_at(everywhere, "median_nees")),
     }
 
 
