@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import gtsam
 import numpy as np
 from jaxtyping import Float64
 
@@ -25,6 +24,8 @@ from filtering.se3 import Poses
 from filtering.smoothing import SmoothingConfig, Sources
 from filtering.state_chain import (
     Chain,
+    Factors,
+    Graph,
     Places,
     Transition,
     covariance_of,
@@ -108,7 +109,7 @@ class FixedLagSmoother:
         self._sources = Sources.unseen(self.noise, self._config)
         self._window: list[_Held] = []
         self._chain: Chain | None = None  # about which the factors are linear
-        self._factors: list[list[gtsam.JacobianFactor]] = []
+        self._factors: Factors = []
         self._of_first: np.ndarray | None = None
         self._time_s, self._weight = 0.0, 1.0
 
@@ -142,7 +143,7 @@ class FixedLagSmoother:
         return self._window[0].number
 
     @property
-    def _graph(self) -> gtsam.GaussianFactorGraph:
+    def _graph(self) -> Graph:
         assert self._chain is not None
         return graph_of(prior_factor(self._prior, self._chain, self._key), self._factors)
 
@@ -195,7 +196,7 @@ class FixedLagSmoother:
 
     def _solve(self, chain: Chain) -> Float64[np.ndarray, "n 6"]:
         """The states by all factors; the change of each pose."""
-        change, self._of_first = solved_from_first(self._graph, self._key, len(self._window))
+        change, self._of_first = solved_from_first(self._graph, self._key, len(self._window), chain.units)
         self._now, moved = updated(chain, change, self._key)
         return moved
 
@@ -205,6 +206,7 @@ class FixedLagSmoother:
         assert chain is not None
         if self._of_first is None:  # another image has left the window since
             self._solve(chain)
+        assert self._of_first is not None
         held = self._window[0]
         covariance = covariance_of(self._of_first, chain.units)
         given = LaggedPose(held.number, self._now.poses[0], covariance, self._weight, held.carried_off)
@@ -225,7 +227,7 @@ class FixedLagSmoother:
         held, self._window = self._window[:count], self._window[count:]
         return [
             LaggedPose(each.number, pose, covariance, self._weight, each.carried_off)
-            for each, pose, covariance in zip(held, self._now.poses[:count], covariances, strict=True)
+            for each, pose, covariance in zip(held, [self._now.poses[i] for i in range(known)], covariances, strict=True)
         ]
 
 

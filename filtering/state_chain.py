@@ -31,6 +31,10 @@ from filtering.prediction import motion_of_state
 from filtering.se3 import Poses
 
 _EXACT = 1e-5  # of a variance: what is known exactly keeps so much
+Graph = gtsam.GaussianFactorGraph
+Factors = list[list[gtsam.JacobianFactor]]
+"""Linear factors of the changes of states, by image."""
+
 _LEAST_SCALE = 1e-2  # standard deviation of the scale error of odometry, below which the unit is this
 _UNKNOWN = 1e4  # ordinary variances of an image: a pose before its first
 _LOOSE, _LEVER = 1e3, 1e5  # ordinary standard deviations of an image
@@ -278,7 +282,7 @@ def solve(
         before, chosen = chosen, places.choose(chain)
         larger = places.enlarged(chain, chosen) if number else np.ones(len(chosen))
         factors = factors_of(chain, transitions, places, chosen, larger)
-        chain, moved = updated(chain, solved(graph_of(prior_factor(prior, chain), factors), range(len(start)))[1])
+        chain, moved = updated(chain, solved(graph_of(prior_factor(prior, chain), factors), range(len(start)), chain.units)[1])
         if number and np.array_equal(before, chosen) and (np.abs(moved) < _SETTLED * std).all():
             break
     factors = factors_of(chain, transitions, places, chosen, larger)
@@ -287,14 +291,14 @@ def solve(
 
 
 def solved(
-    graph: gtsam.GaussianFactorGraph, keys: Sequence[int]
+    graph: gtsam.GaussianFactorGraph, keys: Sequence[int], units: Float64[np.ndarray, " d"]
 ) -> tuple[gtsam.GaussianFactorGraph, gtsam.VectorValues]:
     """The changes of all states, by their keys; the graph is damped where it is singular in double precision.
 
     Raises:
         VaporTrackError: it is singular all the same.
     """
-    size, unit = graph.at(0).getA().shape[1], None
+    size, unit = len(units), None
     for damping in _DAMPING:
         if damping:
             unit = unit or gtsam.noiseModel.Unit.Create(size)
@@ -309,13 +313,13 @@ def covariances_of(
     graph: gtsam.GaussianFactorGraph, keys: Sequence[int], units: Float64[np.ndarray, " d"]
 ) -> Float64[np.ndarray, "n 6 6"]:
     """Covariances of the poses of all states, by their keys."""
-    marginals = gtsam.Marginals(*solved(graph, keys))
+    marginals = gtsam.Marginals(*solved(graph, keys, units))
     covariances = np.stack([marginals.marginalCovariance(key)[POSE, POSE] for key in keys])
     return covariances * np.multiply.outer(units[POSE], units[POSE])
 
 
 def solved_from_first(
-    graph: gtsam.GaussianFactorGraph, first: int, count: int
+    graph: gtsam.GaussianFactorGraph, first: int, count: int, units: Float64[np.ndarray, " d"]
 ) -> tuple[gtsam.VectorValues, Float64[np.ndarray, "d d"]]:
     """The change of each of so many states, and a root of the information on the first, by one elimination.
 
@@ -323,6 +327,7 @@ def solved_from_first(
         graph: Of the factors.
         first: The key of the first state.
         count: Number of the states.
+        units: See `Chain`.
     """
     ordering = gtsam.Ordering()
     for key in range(first + count - 1, first - 1, -1):
@@ -332,7 +337,7 @@ def solved_from_first(
         root = np.array(eliminated.at(count - 1).R())  # a view of GTSAM's memory
         if (np.abs(root.diagonal()) > 0.0).all():
             return eliminated.optimize(), root
-    damped, _ = solved(graph, range(first, first + count))
+    damped, _ = solved(graph, range(first, first + count), units)
     eliminated = damped.eliminateSequential(ordering)
     return eliminated.optimize(), np.array(eliminated.at(count - 1).R())
 
@@ -358,7 +363,7 @@ def marginalised(factors: Sequence[gtsam.JacobianFactor], chain: Chain) -> Prior
         own = factor.getA()
         whole = own if len(factor.keys()) > 1 else np.pad(own, ((0, 0), (0, size)))
         rows.append(np.column_stack([whole, factor.getb()]))
-    triangle = np.linalg.qr(np.concatenate(rows), mode="r")[size : 2 * size, size:]
+    triangle = np.asarray(np.linalg.qr(np.concatenate(rows), mode="r"))[size : 2 * size, size:]
     return Prior(chain.poses[1], chain.mean[1], triangle[:, :size] / chain.units, triangle[:, size], chain.units)
 
 

@@ -134,7 +134,7 @@ def _step_back(
     moved = after.poses if motion is None else after.poses @ motion.inverse()
     target = int(np.argmax(log_value))
     jump = float(log_value[target]) + log_rate
-    off = log_value < jump
+    off = np.asarray(log_value < jump)
     if motion is None and gap.action == "forget":
         off[:] = True
     log_value, going_to = np.where(off, jump, log_value), np.where(off, target, np.arange(len(moved)))

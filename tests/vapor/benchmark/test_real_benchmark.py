@@ -72,7 +72,7 @@ def test_a_place_30_times_as_large_gives_the_same_table_times_30(stairs, tmp_pat
     assert rows.keys() == {"stairs_hloc", "stairs_x30_hloc"}
     small, large = rows["stairs_hloc"], rows["stairs_x30_hloc"]
     assert (small["draws"], small["images"], small["unit_m"], large["unit_m"]) == (2, 20, 1.0, 30.0)
-    assert out.count("20 images × 2") == 3 * 2
+    assert out.count("20 images × 2") == 4 * 2
     for method, figures in small["methods"].items():
         scaled = large["methods"][method]
         assert scaled["median_translation_m"][0] == pytest.approx(30 * figures["median_translation_m"][0], rel=1e-4)

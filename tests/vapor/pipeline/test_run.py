@@ -38,7 +38,7 @@ TRAJECTORIES = {
 WITH_TRUTH = {"ground_truth.tum"}
 
 FILES = TRAJECTORIES | {
-    "estimate.mcap", "config.json", "report.html", "report.json", "manifest.json", "status.csv",
+    "smoothed_second.tum", "estimate.mcap", "config.json", "report.html", "report.json", "manifest.json", "status.csv",
 }  # fmt: skip
 
 METRICS = {"median_translation_m", "median_rotation_deg", "ape_rmse_m", "recall", "position_recall", "worse_than"}
@@ -183,7 +183,7 @@ def test_evaluate_refuses_files_that_are_not_those_of_the_run(finished, tmp_path
 def test_the_estimate_can_be_read_back_with_the_poses_of_the_trajectory(finished):
     trajectory = read_tum(finished.directory / "trajectory.tum")
     bag = Bag(finished.directory / "estimate.mcap")
-    assert {*bag.topics} == {"/estimate/pose", "/estimate/modes", "/estimate/particles", "/tf"}
+    assert {*bag.topics} == {"/estimate/pose", "/estimate/modes", "/estimate/particles", "/estimate/smoothed", "/tf"}
     messages = {topic: [raw.decode() for raw in bag.messages([topic])] for topic in bag.topics}
     assert {len(each) for each in messages.values()} == {25}
     poses = messages["/estimate/pose"]
@@ -192,6 +192,14 @@ def test_the_estimate_can_be_read_back_with_the_poses_of_the_trajectory(finished
     assert np.max(trajectory.poses.distance(read)) < 1e-7
     assert all(np.linalg.eigvalsh(np.reshape(message.pose.covariance, (6, 6)))[0] >= -1e-9 for message in poses)
     assert {len(message.poses) for message in messages["/estimate/particles"]} == {500}
+    later = Poses.stack([pose_from_message(message.pose.pose) for message in messages["/estimate/smoothed"]])
+    assert np.max(read_tum(finished.directory / "smoothed.tum").poses.distance(later)) < 1e-7
+    std_m = [
+        np.sqrt(np.reshape(each.pose.covariance, (6, 6))[:3, :3].trace()) for each in messages["/estimate/smoothed"]
+    ]
+    with (finished.directory / "status.csv").open() as file:
+        widest_m = [float(row["smoothed_std_m"]) for row in csv.DictReader(file)]
+    assert all(widest <= 1.001 * std + 1e-4 for widest, std in zip(widest_m, std_m, strict=True))
 
 
 def test_the_configuration_tells_every_setting_as_it_was_used(finished):
@@ -225,6 +233,14 @@ def test_evaluate_takes_other_true_poses(finished, tmp_path):
     options = ["--ground-truth", str(tmp_path / "truth.tum"), "--output", str(tmp_path / "figures.json")]
     assert main(["evaluate", str(finished.directory), *options]) == 0
     assert json.loads((tmp_path / "figures.json").read_text())["filter"]["ape_rmse_m"] == 0.0
+
+
+def test_with_a_lag_each_pose_is_also_given_by_the_images_until_then(tiny_model, walk_of_25, tmp_path):
+    assert run(walk_of_25, tiny_model, tmp_path / "out", "--no-recording", "--lag", "0.5") == 0
+    lagged = read_tum(tmp_path / "out" / "fixed_lag.tum")
+    assert lagged.times_ns.tolist() == read_tum(tmp_path / "out" / "trajectory.tum").times_ns.tolist()
+    assert "/estimate/fixed_lag" in Bag(tmp_path / "out" / "estimate.mcap").topics
+    assert "fixed_lag" in report_of(tmp_path / "out")
 
 
 # --- less than everything -------------------------------------------------------------------------
