@@ -226,8 +226,8 @@ class FixedLagSmoother:
         covariances = covariances_of(self._graph, range(self._key, self._key + known), self._chain.units)
         held, self._window = self._window[:count], self._window[count:]
         return [
-            LaggedPose(each.number, pose, covariance, self._weight, each.carried_off)
-            for each, pose, covariance in zip(held, [self._now.poses[i] for i in range(known)], covariances, strict=True)
+            LaggedPose(each.number, self._now.poses[i], covariances[i], self._weight, each.carried_off)
+            for i, each in enumerate(held)
         ]
 
 

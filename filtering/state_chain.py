@@ -282,7 +282,8 @@ def solve(
         before, chosen = chosen, places.choose(chain)
         larger = places.enlarged(chain, chosen) if number else np.ones(len(chosen))
         factors = factors_of(chain, transitions, places, chosen, larger)
-        chain, moved = updated(chain, solved(graph_of(prior_factor(prior, chain), factors), range(len(start)), chain.units)[1])
+        _, change = solved(graph_of(prior_factor(prior, chain), factors), range(len(start)), chain.units)
+        chain, moved = updated(chain, change)
         if number and np.array_equal(before, chosen) and (np.abs(moved) < _SETTLED * std).all():
             break
     factors = factors_of(chain, transitions, places, chosen, larger)

@@ -37,8 +37,8 @@ def build_report(record: RunRecord) -> dict[str, Any]:
         `frames`, `frames_with_true_pose`, `skipped`, `images` (see `ImageCounts`), `duration_s`, `status` (fraction of
         the images by status), `smoothed_doubtful` (number of poses; null without a smoothed trajectory), `hindsight`
         (see below; null without), `particles` (median), `step_ms`, `peak_rss_mb`, `verified` (fraction of the images,
-        with landmarks only) and `storeys` (see `evaluate_storeys`; null where there is one only). With true poses also each method's metrics (see
-        `evaluate_trajectory`) and `consistency` (see `evaluate_consistency`).
+        with landmarks only) and `storeys` (see `evaluate_storeys`; null where there is one only). With true poses also
+        each method's metrics (see `evaluate_trajectory`) and `consistency` (see `evaluate_consistency`).
 
         `hindsight`: `ambiguous` (number of smoothed poses), `second_probability` (of the second trajectory's end; 0
         where there is none), `carried_off_s` (when the camera was carried off, seconds since the first image), and with

@@ -97,6 +97,17 @@ def test_the_pose_of_the_base_has_a_covariance_that_grows_until_the_next_image(w
         assert all(later > earlier for earlier, later in pairwise(trace))
 
 
+def test_with_a_lag_each_pose_comes_again_with_the_stamp_of_its_image(walk: Path) -> None:
+    with running(walk, lag=0.5) as run:
+        replayed(run, walk)
+        run.wait(lambda: len(run.messages("fixed_lag")) >= 7)
+        lagged = run.messages("fixed_lag")
+        assert [stamp(each.header) for each in lagged] == [BEGIN_NS + NS // 10 * i for i in range(7)]
+        for each in lagged:
+            metres, _ = pose_from_message(each.pose.pose).distance(world_from_camera(stamp(each.header)))
+            assert metres < 0.05
+
+
 def test_neither_transform_nor_base_is_published_while_two_places_are_possible(walk: Path) -> None:
     model, low = KnowingModel(places=2), world_from_camera(BEGIN_NS)
     heights = [float(pose.translation[2]) for pose in (low, ELSEWHERE @ low)]
