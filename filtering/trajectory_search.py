@@ -145,7 +145,7 @@ def _step_back(
     reach_m, reach_rad = _reach(noise)
     apart_m2, apart_rad2 = moved.squared_distances(places)
     apart = np.maximum(apart_m2 / (reach_m + wider_m) ** 2, apart_rad2 / (reach_rad + wider_rad) ** 2)
-    nearest, matched = apart.argmin(axis=1), (apart <= 1.0).any(axis=1)
+    nearest, matched = apart.argmin(axis=1), np.asarray((apart <= 1.0).any(axis=1))
     poses = Poses(
         np.where(matched[:, None, None], places.rotation[nearest], moved.rotation),
         np.where(matched[:, None], places.translation[nearest], moved.translation),

@@ -22,6 +22,7 @@ IMAGE, ODOMETRY, CAMERA_INFO, TF_STATIC = "/camera/image/compressed", "/odom", "
 ANSWERS = {
     "/estimate/pose": "geometry_msgs/PoseWithCovarianceStamped",
     "/estimate/base_pose": "geometry_msgs/PoseWithCovarianceStamped",
+    "/estimate/fixed_lag": "geometry_msgs/PoseWithCovarianceStamped",
     "/estimate/particles": "geometry_msgs/PoseArray",
     "/estimate/modes": "visualization_msgs/MarkerArray",
     "/diagnostics": "diagnostic_msgs/DiagnosticArray",
