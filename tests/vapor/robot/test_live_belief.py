@@ -37,14 +37,14 @@ def anchor_of(status, agreement):
     return SimpleNamespace(estimate=SimpleNamespace(status=status, agreement=agreement))
 
 
-READER = SimpleNamespace(odometry_ns=None)
+READER = SimpleNamespace(odometry_ns=None, frame_ns=None)
 
 
 def seen(belief, metres):
     """Whether an image so far from the one before has places, and landmarks are looked for; None: not known how far."""
     step = None if metres is None else Poses.exp(np.array([metres, 0.0, 0.0, 0.0, 0.0, 0.0]))
     motion = None if step is None else Odometry(step, 1e-6 * np.eye(6), 0.03)
-    posterior = belief.observe(SimpleNamespace(camera=None, image=None, odometry=motion))
+    posterior = belief.observe(SimpleNamespace(camera=None, image=None, odometry=motion, time_ns=0))
     assert belief._model.verifies != posterior.is_uninformative
     return not posterior.is_uninformative
 
