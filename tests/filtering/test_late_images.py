@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from filtering.errors import VaporTrackError
+from filtering.kalman import KalmanLocalizer
 from filtering.motion import MotionNoise, Odometry
 from filtering.observation import Observation, View
 from filtering.posterior import PosePosterior
@@ -258,6 +259,11 @@ def test_steps_with_and_without_times_are_not_mixed():
         localizer.forget()
     untimed.update(posterior, None, time_ns=5)
     timed.update(posterior, None)
+
+
+def test_a_baseline_without_a_history_takes_no_times():
+    with pytest.raises(VaporTrackError, match="time_ns is 5, expected None: this baseline keeps no history"):
+        KalmanLocalizer().advance(Observation.of_posterior(seen_at(Poses.identity(1)), None, time_ns=5))
 
 
 def test_odometry_since_the_wrong_image_is_noticed_by_how_long_it_took():

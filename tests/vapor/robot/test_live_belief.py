@@ -63,6 +63,12 @@ def test_landmarks_are_looked_for_once_a_second_while_the_robot_stands(belief, c
     assert sum(found) == 3
 
 
+def test_the_motion_to_a_late_image_is_not_counted_twice(belief, clock):
+    assert [seen(belief, metres) for metres in (None, 0.03)] == [True, False]
+    belief.reader = SimpleNamespace(odometry_ns=None, frame_ns=1)  # which is newer than the next
+    assert not seen(belief, 0.03)
+
+
 def test_landmarks_are_looked_for_where_the_motion_is_unknown_and_after_the_belief_was_forgotten(belief, clock):
     assert [seen(belief, None), seen(belief, 0.0), seen(belief, None)] == [True, False, True]
     belief.forget()
