@@ -22,8 +22,6 @@ from filtering.se3 import Poses
 Of = TypeVar("Of")
 
 _GATE = 36.0  # times the summed variances of position, and of rotation: a coarse gate before any Mahalanobis distance
-PLACE = 3.0
-"""Standard deviations of the error: finer details do not distinguish places."""
 _LEAST = 1e-3  # fraction of a hypothesis that goes on as one of its own; smaller ones go to its other parts
 _UNUSUAL = 1.25  # factor of the variance from which on the error is taken as one of its own
 
@@ -90,18 +88,19 @@ def gate(belief: Hypotheses, posterior: PosePosterior, correlations: Sequence[Co
     ]
 
 
-def evidence(belief: Hypotheses, posterior: PosePosterior, pairs: Sequence[Pairs]) -> Evidence:
+def evidence(belief: Hypotheses, posterior: PosePosterior, pairs: Sequence[Pairs], outlier_places: float) -> Evidence:
     """Which place: a hypothesis is as possible as the places near it.
 
     The network's posterior serves as a likelihood: the training images count as spread evenly over the map.
     """
     hypothesis, place, squared = (_joined(pairs, name) for name in ("hypothesis", "place", "squared"))
-    near = posterior.support[place] * np.exp(-0.5 * squared / PLACE**2)
-    support = np.bincount(hypothesis, near, minlength=len(belief))
-    possible = support / (support + posterior.noise.possible_fraction)
+    near = posterior.possible[place] * posterior.noise.nearness(squared)
+    possible = np.minimum(np.bincount(hypothesis, near, minlength=len(belief)), 1.0)
     excuse, outlier = posterior.excuse(belief.poses), posterior.outlier_probability
     outliers = outlier + (1.0 - outlier) * excuse
-    log_likelihood = np.log(outliers + (1.0 - outliers) * possible)
+    elsewhere = outlier / outlier_places
+    mistaken = elsewhere + (1.0 - elsewhere) * excuse
+    log_likelihood = np.log(mistaken + (1.0 - mistaken) * possible)
     return Evidence(log_likelihood, outliers, float(belief.weights @ possible))
 
 

@@ -46,15 +46,17 @@ class LocalizerConfig:
 
     max_hypotheses: int = 50
     """Largest number of particles, each a hypothesis with a Gaussian of its own."""
+    outlier_places: float = 10.0
+    """An outlier supports a wrong hypothesis with a probability of 1 over this: of so many places it shows one."""
     birth_rate: float = 3e-4
-    """Probability that the camera was carried off unnoticed, for every new view that fits the belief: the weight of the
-    hypotheses that are born from it."""
+    """Probability that the camera was carried off unnoticed, for every new view that fits the belief: so much of it
+    becomes unassigned, from which hypotheses are born."""
     max_birth_rate: float = 0.1
-    """The same for a view that does not fit at all; in between, in equal ratios. Both 0: no births, where `births` is
-    "rate"."""
+    """The same for a view that does not fit at all; in between, in equal ratios. Both 0: nothing is ever unassigned, and
+    nothing is born after the first image, where `births` is "rate"."""
     births: Births = "rate"
-    """Births at those rates, or as in augmented Monte Carlo localization, while images agree with the belief less than
-    usual."""
+    """Mass becomes unassigned at those rates, or as in augmented Monte Carlo localization, while images agree with the
+    belief less than usual."""
     adapt_errors: bool = True
     """Scale the measurement noise where odometry shows that images err more or less than it states."""
     merge_divergence: float = 0.5
@@ -77,6 +79,8 @@ class LocalizerConfig:
     """And while at least this fraction of the belief fits the latest images."""
     lost_agreement: float = 0.3
     """Status is "lost" while less than this fits."""
+    lost_unassigned: float = 0.5
+    """Or while more than this is unassigned."""
     agreement_s: float = 1.0
     """Time over which that is averaged, seconds."""
     agreement_images: int = 5
@@ -105,6 +109,8 @@ class LocalizerConfig:
             converged_map_fraction=(0.0, 1e6),
             converged_agreement=(0.0, 1.0),
             lost_agreement=(0.0, 1.0),
+            lost_unassigned=(0.0, 1.0),
+            outlier_places=(1.0, 1e9),
             agreement_s=(1e-6, 1e6),
             agreement_images=(1, 10**6),
             switch_ratio=(1.0, 1e9),
@@ -117,6 +123,11 @@ class LocalizerConfig:
                 )
         if self.converged_std_m is not None:
             require_within(self, converged_std_m=(0.0, 1e9))
+
+    @property
+    def has_births(self) -> bool:
+        """Whether hypotheses are born after the first image."""
+        return self.births != "rate" or self.max_birth_rate > 0.0
 
     def widest_std_m(self, noise: MeasurementNoise) -> float:
         """The largest standard deviation of the position, along its widest axis, of a converged belief, metres."""

@@ -184,6 +184,6 @@ class ParticleLocalizer:
         hypotheses = hypotheses_of(begun)
         # The error of the stated pose is not correlated with those of the images.
         apart = replace(hypotheses, covariance=without_correlation(hypotheses.covariance, 0))
-        belief, estimate = describe(replace(begun, hypotheses=apart), [], 0.0, self.config)
+        belief, estimate = describe(replace(begun, hypotheses=apart, unassigned=0.0), [], 0.0, self.config)
         self.belief, self._last_image, self._history = belief, None, History.beginning_at(time_ns)
         return estimate

@@ -172,23 +172,26 @@ class PosePosterior:
 
     @cached_property
     def possible(self) -> Float64[np.ndarray, " k"]:
-        """How possible each place is, in [0, 1]: its weight w as w / (w + possible fraction).
+        """How possible each place is, in [0, 1], see `MeasurementNoise.possible`.
 
-        Weights of verified places relative to others were calibrated on held-out images: beside verified places, others
-        are w / (total weight of verified places + possible fraction).
+        Weights of verified places relative to others were calibrated on held-out images: beside verified places, lighter
+        ones are possible in proportion to their weight.
         """
-        possible = self.weights / (self.weights + self.noise.possible_fraction)
         network, verified = self.sources
-        if len(verified):
-            total, own = float(self.weights[verified].sum()), self.weights[network]
-            possible[network] = own / (np.maximum(own, total) + self.noise.possible_fraction)
+        if not len(verified):
+            return self.noise.possible(self.weights)
+        possible, own = self.noise.finest.possible(self.weights), self.weights[network]
+        total = max(float(self.weights[verified].sum()), 1e-300)
+        possible[network] = np.minimum(possible[network], own / total)
         return possible
 
     @cached_property
-    def support(self) -> Float64[np.ndarray, " k"]:
-        """Share of each place, (k,): poses near places with a sum s of shares are possible by s / (s + possible
-        fraction)."""
-        return self.noise.possible_fraction * self.possible / (1.0 - self.possible)
+    def shares(self) -> Float64[np.ndarray, " k"]:
+        """Shares of the places in what the image assigns, 1 in all: by their weights as far as these are calibrated, at
+        least by their square roots."""
+        tilt = max(0.5 - self.noise.weight_power, 0.0)
+        shares = self.possible * self.weights**tilt
+        return shares / max(float(shares.sum()), 1e-300)
 
     @cached_property
     def factors(self) -> Float64[np.ndarray, "k 6 6"]:

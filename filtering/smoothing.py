@@ -18,12 +18,11 @@ from jaxtyping import Bool, Float64, Int64
 from scipy.linalg import solveh_banded
 from scipy.special import gammaln
 
-from filtering.association import PLACE
 from filtering.config import LocalizerConfig
 from filtering.errors import VaporTrackError, require_within
 from filtering.estimate import Mode
 from filtering.hypotheses import BIAS, POSE
-from filtering.measurement_noise import MeasurementNoise
+from filtering.measurement_noise import PLACE, MeasurementNoise
 from filtering.motion import Odometry, OdometryBias
 from filtering.prediction import motion_of_state
 from filtering.se3 import Poses

@@ -11,8 +11,7 @@ from jaxtyping import Bool, Float64, Int64
 from scipy.stats import f as fisher
 from torch import Tensor
 
-from filtering.association import PLACE
-from filtering.measurement_noise import MeasurementNoise, Six
+from filtering.measurement_noise import PLACE, MeasurementNoise, Six
 from filtering.moments import group_moments
 from filtering.posterior import find_places
 from filtering.se3 import Poses

@@ -76,7 +76,7 @@ ABLATIONS: Mapping[str, Ablation] = MappingProxyType(
         ),
         "trusting-fractions": Ablation(
             "a place is as probable as the fraction of the samples in it",
-            noise=lambda noise: replace(noise, possible_fraction=1.0),
+            noise=lambda noise: replace(noise, possible_fraction=1e-9, weight_power=1.0),
         ),
         "no-odometry-bias": Ablation(
             "the odometry errs as white noise only",
