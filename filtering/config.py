@@ -95,6 +95,8 @@ class LocalizerConfig:
     """Motion where odometry is missing, or wrong."""
     modes: ModeConfig = field(default_factory=ModeConfig)
     """Which hypotheses are reported as one mode."""
+    late_window_s: float = 0.5
+    """Images that are late by at most so much are fused at their own times, seconds; of steps with times."""
 
     def __post_init__(self) -> None:
         require_within(
@@ -115,6 +117,7 @@ class LocalizerConfig:
             agreement_s=(1e-6, 1e6),
             agreement_images=(1, 10**6),
             switch_ratio=(1.0, 1e9),
+            late_window_s=(0.0, 60.0),
         )
         for name, known in (("births", Births), ("resampling", Resampling)):
             if getattr(self, name) not in get_args(known):

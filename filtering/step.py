@@ -39,7 +39,7 @@ def step(belief: Belief, observation: Observation, config: LocalizerConfig) -> t
         VaporTrackError: the odometry is invalid (`require_odometry`), which a first step does not use, or no view has
             any place at a first step.
     """
-    views = observation.views
+    views = observation.ranked_views
     informative = [view for view in views if not view.posterior.is_uninformative]
     belief = predict(belief, observation.odometry, observation.elapsed_s, config, sees=bool(informative))
     novelty = 0.0
