@@ -36,8 +36,8 @@ class GapConfig:
     @property
     def velocity(self) -> OdometryBias:
         """The unknown velocity, as the drift of odometry that reports no motion."""
-        drift = (*(self.speed_m_per_s,) * 3, *(self.turn_rad_per_s,) * 3)
-        return OdometryBias(scale=0.0, drift=drift, time_s=self.time_s)
+        v, w = self.speed_m_per_s, self.turn_rad_per_s
+        return OdometryBias(scale=0.0, drift=(v, v, v, w, w, w), time_s=self.time_s)
 
 
 @dataclass(frozen=True)
