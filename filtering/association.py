@@ -162,13 +162,13 @@ def _shared_by_density(
         log_total: Of each hypothesis, of the image.
     """
     hypothesis, place, squared = (_joined(pairs, name) for name in ("hypothesis", "place", "squared"))
+    near = np.flatnonzero(squared < _SAME_PLACE)
+    if len(near) < 2 or np.bincount(place[near]).max() < 2:
+        return belief
     at = np.full(len(belief), -1)
-    likely = np.argsort(log_seen, kind="stable")
-    likely = likely[squared[likely] < _SAME_PLACE]
+    likely = near[np.argsort(log_seen[near], kind="stable")]
     at[hypothesis[likely]] = place[likely]  # the most likely one comes last
     own = np.flatnonzero(at >= 0)
-    if len(own) < 2:
-        return belief
     none, count = np.full(len(posterior.weights), -1e300), at[own]
     before = _log_total(belief.log_weights[own], count, none)
     after = _log_total(belief.log_weights[own] + _DENSITY * log_total[own], count, none)
