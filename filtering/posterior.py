@@ -14,6 +14,7 @@ from filtering.mapped_views import MappedViews
 from filtering.measurement_noise import OUT_OF_DISTRIBUTION, MeasurementNoise
 from filtering.moments import group_moments
 from filtering.se3 import Poses
+from filtering.training_prior import TrainingPrior
 from filtering.unchecked import unchecked_replace
 
 _SOUGHT = 250  # samples among which peaks are sought
@@ -78,8 +79,12 @@ class PosePosterior:
             raise VaporTrackError(f"posterior: ood_score is {self.ood_score}, expected 0 or more")
 
     @staticmethod
-    def from_samples(samples: Poses, noise: MeasurementNoise, *, ood_score: float = 0.0) -> PosePosterior:
-        """The places among posterior samples (m,), m ≥ 1.
+    def from_samples(
+        samples: Poses, noise: MeasurementNoise, *, ood_score: float = 0.0, prior: TrainingPrior | None = None
+    ) -> PosePosterior:
+        """The places among posterior samples (m,), m ≥ 1, weighted by their fractions of the samples.
+
+        `prior` is that of the network's training, and is divided out of the weights; None where it is even.
 
         Raises:
             VaporTrackError: no sample, or one that is not finite.
@@ -91,6 +96,8 @@ class PosePosterior:
         own = np.flatnonzero(label >= 0)
         means, covariances, _ = group_moments(samples[own], np.ones(len(own)), label[own], count)
         weights = np.bincount(label[own], minlength=count) / len(samples)
+        if prior is not None:
+            weights = prior.divided_out(weights, means)
         growth = noise.growth(ood_score)
         covariances = growth * noise.covariance(covariances)
         return PosePosterior(means, covariances, weights, noise, samples, ood_score, growth, calibrated=True)
