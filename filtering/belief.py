@@ -20,6 +20,7 @@ class Belief:
     Attributes:
         rng: Source of random draws. Nothing is drawn from it, but from a copy that the next belief keeps.
         hypotheses: Where the camera may be; None before the first image.
+        unassigned: Probability that it is at none of these, but anywhere in the map.
         cameras: The memory of each camera, by its name.
         best: The best mode of the last estimate, moved by odometry since, one pose; None before the first.
         agreement: Fraction of the belief that fits the latest images, in [0, 1].
@@ -32,6 +33,7 @@ class Belief:
 
     rng: np.random.Generator
     hypotheses: Hypotheses | None = None
+    unassigned: float = 1.0
     cameras: Mapping[str, CameraMemory] = field(default_factory=dict)
     best: Poses | None = None
     agreement: float = 1.0

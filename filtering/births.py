@@ -1,4 +1,4 @@
-"""Birth probabilities: of a camera that was carried off unnoticed.
+"""How much of the belief becomes unassigned: the camera may have been carried off unnoticed.
 
 Source: Thrun, Burgard and Fox, "Probabilistic robotics", 2005, § 8.3.3 (augmented Monte Carlo localization).
 """

@@ -28,7 +28,7 @@ class Mode:
     Attributes:
         world_from_camera: One pose, the mean of the mode.
         covariance: Covariance of ξ = (v, ω), metres and radians, in the tangent at the mode (camera frame).
-        weight: Fraction of the belief, in [0, 1].
+        weight: Probability that the camera is there, in [0, 1].
         verified: Whether it is a place of one image, verified by landmarks.
     """
 
@@ -92,6 +92,7 @@ class Estimate:
             Gaussian.
         covariances: Of each, of ξ = (v, ω) in the tangent at it, (n, 6, 6).
         log_weights: Their normalised log weights, (n,).
+        unassigned: Probability that the camera is at none of them: the weights of all modes and this are 1 in all.
         agreement: Share of the belief that the latest images fitted, in [0, 1].
         novelty: Fraction of the image's information that earlier images lack, in [0, 1].
         normalized_distance: That the camera moved since the image before, in lengths over which the errors of its
@@ -104,6 +105,7 @@ class Estimate:
     particles: Poses
     covariances: Float64[np.ndarray, "n 6 6"]
     log_weights: Float64[np.ndarray, " n"]
+    unassigned: float
     agreement: float
     novelty: float
     normalized_distance: float

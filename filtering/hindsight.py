@@ -9,12 +9,12 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
 from filtering.estimate import Estimate, Mode, ModeConfig
-from filtering.measurement_noise import MeasurementNoise
+from filtering.measurement_noise import PLACE, MeasurementNoise
 from filtering.motion import Odometry
 from filtering.observation import Observation
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
-from filtering.trajectory_search import possible_at
+from filtering.trajectory_search import squared_distances
 
 _MOST_PLACES = 16  # of an image, the heaviest: enough for a place among many alike
 _LEAST_WEIGHT = 1e-3  # of a filter's hypothesis that is remembered
@@ -126,8 +126,10 @@ def trajectory_agreement(
     in_map = _within_map(trajectory, [step.posterior for step in steps], noise)
     for i in np.flatnonzero(informative).tolist():
         posterior, rest = steps[i].posterior, steps[i].left_out
-        possible = max(float(possible_at(posterior, trajectory[i : i + 1])[0]), in_map[i] * _possible(rest, noise))
-        fits[i] = min(possible / max(float(posterior.possible.max()), _possible(rest, noise)), 1.0)
+        near = np.exp(-0.5 * squared_distances(posterior, trajectory[i : i + 1])[0] / PLACE**2)
+        sums = float(near @ posterior.weights) + in_map[i] * rest, float(posterior.weights.max()) + rest
+        possible, most = (total / (total + noise.possible_fraction) for total in sums)
+        fits[i] = min(possible / most, 1.0)
     at = np.arange(n)
     first = np.minimum(np.searchsorted(times_ns, times_ns - _ABOUT_NS), np.maximum(at - _ABOUT_IMAGES, 0))
     last = np.maximum(
@@ -135,10 +137,6 @@ def trajectory_agreement(
     )
     summed, count = (np.concatenate([[0.0], np.cumsum(values)]) for values in (fits, informative))
     return (summed[last] - summed[first]) / np.maximum(count[last] - count[first], 1.0)
-
-
-def _possible(weight: float, noise: MeasurementNoise) -> float:
-    return weight / (weight + noise.possible_fraction)
 
 
 def _within_map(

@@ -126,7 +126,7 @@ def birth(
     belief: Hypotheses | None,
     landmarks: int | None = None,
 ) -> Hypotheses:
-    """A hypothesis for each place of a posterior, weighted by how possible the place is.
+    """A hypothesis for each place of a posterior, weighted by its share.
 
     The odometry bias is that of the heaviest hypothesis of the belief, if there is one: it does not depend on the
     place.
@@ -155,10 +155,10 @@ def birth(
         shared = -np.sqrt(posterior.noise_of(source).correlated_fraction) * posterior.factors[places]
         covariance[places, POSE, own] = shared
         covariance[places, own, POSE] = np.swapaxes(shared, 1, 2)
-    possible = posterior.possible
-    places = np.flatnonzero(possible)
+    shares = posterior.shares
+    places = np.flatnonzero(shares)
     return Hypotheses(posterior.means, mean, covariance, np.zeros(count))[places].with_log_weights(
-        np.log(possible[places])
+        np.log(shares[places])
     )
 
 

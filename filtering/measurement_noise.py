@@ -17,6 +17,10 @@ LEAST_SCORE, OUT_OF_DISTRIBUTION = 0.05, 1.0
 is out of distribution."""
 
 
+PLACE = 3.0
+"""Standard deviations of the error: finer details do not distinguish places."""
+
+
 @dataclass(frozen=True)
 class MeasurementNoise:
     """Errors of the poses that images give, in the camera frame, fitted on held-out images or stated.
@@ -45,8 +49,10 @@ class MeasurementNoise:
     log_clutter_density: float = -6.0
     """Log density of poses spread evenly over the map, per m³ rad³: of the true pose of an outlier."""
     possible_fraction: float = 0.05
-    """A place with this fraction of the samples counts half as possible as one with all of them. A network that learned
-    from its best samples knows the possible places, but not their probabilities."""
+    """A place with less than this fraction of the heaviest one's weight is less possible, in proportion. A network that
+    learned from its best samples knows the possible places, but not their probabilities."""
+    weight_power: float = 0.0
+    """And with this power of that fraction: 1 where the weights of places are calibrated probabilities."""
     correlated_fraction: float = 0.7
     """Fraction of the error's variance that is the same for images of the same view."""
     length_m: float = 0.5
@@ -76,7 +82,8 @@ class MeasurementNoise:
             degrees_of_freedom=(1.0, 1e6),
             outlier_probability=(1e-9, 0.999999),
             log_clutter_density=(-1e3, 1e3),
-            possible_fraction=(1e-9, 1e9),
+            possible_fraction=(1e-9, 1.0),
+            weight_power=(0.0, 10.0),
             correlated_fraction=(0.0, 0.999),
             length_m=(1e-9, 1e9),
             length_rad=(1e-6, 1e3),
@@ -102,6 +109,17 @@ class MeasurementNoise:
             return 1.0
         score = min(max(ood_score, LEAST_SCORE), OUT_OF_DISTRIBUTION)
         return float((score / self.typical_ood_score) ** (2.0 * self.ood_power))
+
+    def possible(self, weights: Float64[np.ndarray, " k"]) -> Float64[np.ndarray, " k"]:
+        """How possible places with these weights are, relative to the heaviest one, in [0, 1]."""
+        relative = weights / max(float(weights.max(initial=0.0)), 1e-300)
+        possible = np.minimum(relative / self.possible_fraction, 1.0)
+        return possible if self.weight_power == 0.0 else possible * relative**self.weight_power
+
+    def nearness(self, squared: Float64[np.ndarray, " p"]) -> Float64[np.ndarray, " p"]:
+        """How near poses are to places by squared Mahalanobis distances, from nearly 1 down to 0."""
+        near = np.exp(-0.5 * squared / PLACE**2)
+        return (1.0 + self.possible_fraction) * near / (near + self.possible_fraction)
 
     @property
     def finest(self) -> MeasurementNoise:

@@ -14,6 +14,7 @@ from filtering.mapped_views import MappedViews
 from filtering.measurement_noise import OUT_OF_DISTRIBUTION, MeasurementNoise
 from filtering.moments import group_moments
 from filtering.se3 import Poses
+from filtering.training_prior import TrainingPrior
 from filtering.unchecked import unchecked_replace
 
 _SOUGHT = 250  # samples among which peaks are sought
@@ -78,8 +79,12 @@ class PosePosterior:
             raise VaporTrackError(f"posterior: ood_score is {self.ood_score}, expected 0 or more")
 
     @staticmethod
-    def from_samples(samples: Poses, noise: MeasurementNoise, *, ood_score: float = 0.0) -> PosePosterior:
-        """The places among posterior samples (m,), m ≥ 1.
+    def from_samples(
+        samples: Poses, noise: MeasurementNoise, *, ood_score: float = 0.0, prior: TrainingPrior | None = None
+    ) -> PosePosterior:
+        """The places among posterior samples (m,), m ≥ 1, weighted by their fractions of the samples.
+
+        `prior` is that of the network's training, and is divided out of the weights; None where it is even.
 
         Raises:
             VaporTrackError: no sample, or one that is not finite.
@@ -91,6 +96,8 @@ class PosePosterior:
         own = np.flatnonzero(label >= 0)
         means, covariances, _ = group_moments(samples[own], np.ones(len(own)), label[own], count)
         weights = np.bincount(label[own], minlength=count) / len(samples)
+        if prior is not None:
+            weights = prior.divided_out(weights, means)
         growth = noise.growth(ood_score)
         covariances = growth * noise.covariance(covariances)
         return PosePosterior(means, covariances, weights, noise, samples, ood_score, growth, calibrated=True)
@@ -184,23 +191,26 @@ class PosePosterior:
 
     @cached_property
     def possible(self) -> Float64[np.ndarray, " k"]:
-        """How possible each place is, in [0, 1]: its weight w as w / (w + possible fraction).
+        """How possible each place is, in [0, 1], see `MeasurementNoise.possible`.
 
-        Weights of verified places relative to others were calibrated on held-out images: beside verified places, others
-        are w / (total weight of verified places + possible fraction).
+        Weights of verified places relative to others were calibrated on held-out images: beside verified places,
+        lighter ones are possible in proportion to their weight.
         """
-        possible = self.weights / (self.weights + self.noise.possible_fraction)
         network, verified = self.sources
-        if len(verified):
-            total, own = float(self.weights[verified].sum()), self.weights[network]
-            possible[network] = own / (np.maximum(own, total) + self.noise.possible_fraction)
+        if not len(verified):
+            return self.noise.possible(self.weights)
+        possible, own = self.noise.finest.possible(self.weights), self.weights[network]
+        total = max(float(self.weights[verified].sum()), 1e-300)
+        possible[network] = np.minimum(possible[network], own / total)
         return possible
 
     @cached_property
-    def support(self) -> Float64[np.ndarray, " k"]:
-        """Share of each place, (k,): poses near places with a sum s of shares are possible by s / (s + possible
-        fraction)."""
-        return self.noise.possible_fraction * self.possible / (1.0 - self.possible)
+    def shares(self) -> Float64[np.ndarray, " k"]:
+        """Shares of the places in what the image assigns, 1 in all: by their weights as far as these are calibrated, at
+        least by their square roots."""
+        tilt = max(0.5 - self.noise.weight_power, 0.0)
+        shares = self.possible * self.weights**tilt
+        return shares / max(float(shares.sum()), 1e-300)
 
     @cached_property
     def factors(self) -> Float64[np.ndarray, "k 6 6"]:

@@ -40,16 +40,23 @@ class SmoothingConfig:
     """Scale error and drift of the odometry; as of the particle filter."""
     gap: GapConfig = field(default_factory=GapConfig)
     """Motion where odometry is missing; as of the particle filter."""
+    outlier_places: float = 10.0
+    """An outlier shows one of so many places; as of the particle filter."""
     adapt_errors: bool = True
     """Scale the measurement noise as odometry shows; as of the particle filter."""
 
     def __post_init__(self) -> None:
-        require_within(self, kidnap_rate=(1e-300, 1.0), least_probability=(0.0, 1.0))
+        require_within(self, kidnap_rate=(1e-300, 1.0), least_probability=(0.0, 1.0), outlier_places=(1.0, 1e9))
 
     @staticmethod
     def of_filter(config: LocalizerConfig) -> SmoothingConfig:
         """With the settings that the smoother has in common with a filter."""
-        return SmoothingConfig(odometry_bias=config.odometry_bias, gap=config.gap, adapt_errors=config.adapt_errors)
+        return SmoothingConfig(
+            odometry_bias=config.odometry_bias,
+            gap=config.gap,
+            outlier_places=config.outlier_places,
+            adapt_errors=config.adapt_errors,
+        )
 
 
 @dataclass(frozen=True)
@@ -162,7 +169,9 @@ class Sources(NamedTuple):
         if not step.posterior.is_uninformative:
             camera, _, power = camera.observe(step.posterior)
         pose = None if motion is None else motion.previous_from_current
-        searched = SearchStep(step.posterior, pose, step.elapsed_s, power, step.hypotheses, step.weights)
+        searched = SearchStep(
+            step.posterior, pose, step.elapsed_s, power, config.outlier_places, step.hypotheses, step.weights
+        )
         return Sources(camera, in_gap is not None and motion is None), moved, to_here, searched
 
 

@@ -18,13 +18,13 @@ from filtering.cameras import CameraMemory
 from filtering.config import GapConfig, LocalizerConfig
 from filtering.errors import VaporTrackError
 from filtering.estimate import Estimate, Mode, Status, describe_modes
-from filtering.hypotheses import DRIFT, Hypotheses, birth, concatenate, with_drift, with_source
+from filtering.hypotheses import DRIFT, Hypotheses, birth, concatenate, log_sum, with_drift, with_source
 from filtering.measurement_noise import MeasurementNoise
 from filtering.mixture_reduction import reduce_mixture
 from filtering.motion import Odometry, OdometryBias, require_odometry
 from filtering.observation import Observation, View
 from filtering.posterior import PosePosterior
-from filtering.prediction import across_gap
+from filtering.prediction import across_gap, with_failures
 from filtering.prediction import predict as predict_hypotheses
 from filtering.se3 import Poses
 from filtering.unchecked import unchecked_replace
@@ -39,9 +39,9 @@ def step(belief: Belief, observation: Observation, config: LocalizerConfig) -> t
         VaporTrackError: the odometry is invalid (`require_odometry`), which a first step does not use, or no view has
             any place at a first step.
     """
-    views = observation.views
-    belief = predict(belief, observation.odometry, observation.elapsed_s, config)
+    views = observation.ranked_views
     informative = [view for view in views if not view.posterior.is_uninformative]
+    belief = predict(belief, observation.odometry, observation.elapsed_s, config, sees=bool(informative))
     novelty = 0.0
     if needs_initialization(belief, views):
         belief = initialize(belief, views, config)  # from the first of these views, all of which is new
@@ -49,7 +49,7 @@ def step(belief: Belief, observation: Observation, config: LocalizerConfig) -> t
     belief = with_cameras(belief, informative, config)
     used: list[UsedView] = []
     for view in informative:
-        belief, used_view = measure(belief, view)
+        belief, used_view = measure(belief, view, config)
         used.append(used_view)
     novelty = max([novelty, *(each.novelty for each in used)])
     belief = add_births(belief, used, novelty, config)
@@ -62,8 +62,10 @@ def step(belief: Belief, observation: Observation, config: LocalizerConfig) -> t
     return belief, estimate
 
 
-def predict(belief: Belief, odometry: Odometry | None, elapsed_s: float, config: LocalizerConfig) -> Belief:
-    """Move the belief by odometry, or across a gap of `elapsed_s` seconds without any."""
+def predict(
+    belief: Belief, odometry: Odometry | None, elapsed_s: float, config: LocalizerConfig, *, sees: bool
+) -> Belief:
+    """Move the belief by odometry, or across a gap of `elapsed_s` seconds without any; `sees`: to an image."""
     if belief.hypotheses is None:
         return belief
     if odometry is None:
@@ -73,6 +75,9 @@ def predict(belief: Belief, odometry: Odometry | None, elapsed_s: float, config:
     hypotheses, distances = belief.hypotheses, _by_source(after)
     if belief.drift is not None:  # a gap has ended
         hypotheses = with_drift(hypotheses, *belief.drift)
+    if sees:  # without images a failure would not show
+        failures_per_s = config.odometry_failures_per_s
+        hypotheses = with_failures(hypotheses, odometry, config.odometry_bias, config.gap.velocity, failures_per_s)
     return unchecked_replace(
         belief,
         hypotheses=predict_hypotheses(hypotheses, odometry, config.odometry_bias, distances),
@@ -124,12 +129,16 @@ class UsedView:
         posterior: Of its image, for the reference frame, with the measurement noise scaled.
         camera: The memory of its camera after it.
         novelty: Of the view, in [0, 1].
+        likelihood_power: Power of the image's likelihood, in [0, 1]: correlated images count once.
+        log_likelihood: Of the belief, given the image: 0 where it fits all of it.
         agreement: The fraction of the belief that the image fits, in [0, 1].
     """
 
     posterior: PosePosterior
     camera: CameraMemory
     novelty: float
+    likelihood_power: float
+    log_likelihood: float
     agreement: float
 
 
@@ -145,7 +154,7 @@ def follow_mount(belief: Belief, view: View) -> Belief:
     return unchecked_replace(belief.with_camera(view.camera, camera), hypotheses=hypotheses)
 
 
-def measure(belief: Belief, view: View) -> tuple[Belief, UsedView]:
+def measure(belief: Belief, view: View, config: LocalizerConfig) -> tuple[Belief, UsedView]:
     """Weight every hypothesis by an image, and correct it by each place that it may see.
 
     `evidence` decides which place, and `correct` where in it: the densities of places only split a hypothesis.
@@ -160,26 +169,46 @@ def measure(belief: Belief, view: View) -> tuple[Belief, UsedView]:
     hypotheses = hypotheses_of(belief)
     correlations = [Correlation(source.number, source.tracker.normalized_distance) for source in before.sources]
     pairs = gate(hypotheses, posterior, correlations)
-    found = evidence(hypotheses, posterior, pairs)
+    found = evidence(hypotheses, posterior, pairs, config.outlier_places)
     hypotheses = hypotheses.reweighted(likelihood_power * found.log_likelihood)
+    # What is unassigned may be at any place of the image.
+    assigned = (1.0 - belief.unassigned) * float(np.exp(log_sum(hypotheses.log_weights)))
+    total = assigned + belief.unassigned
     hypotheses = correct(hypotheses, posterior, pairs, found.outlier).normalized()
-    belief = unchecked_replace(belief.with_camera(view.camera, camera), hypotheses=hypotheses)
-    return belief, UsedView(posterior, camera, novelty, found.agreement)
+    belief = unchecked_replace(
+        belief.with_camera(view.camera, camera), hypotheses=hypotheses, unassigned=belief.unassigned / total
+    )
+    return belief, UsedView(posterior, camera, novelty, likelihood_power, float(np.log(total)), found.agreement)
 
 
 def add_births(belief: Belief, used: Sequence[UsedView], novelty: float, config: LocalizerConfig) -> Belief:
-    """Add hypotheses at the places of the images: the camera may have been carried off."""
-    if not used:
+    """Let the places of the images take over what is unassigned, and more of the belief where the images cast doubt.
+
+    Of the unassigned mass an image with outlier probability ε leaves ε, and what its weights lack to 1.
+    """
+    if not used or not config.has_births:
         return belief
     agreement = float(np.mean([one.agreement for one in used]))
-    probability = BIRTHS[config.births](belief, novelty, agreement, config)
-    if probability == 0.0:
-        return belief
-    hypotheses = hypotheses_of(belief)
-    births = [born_at(one.posterior, one.camera, belief, config) for one in used]
-    weighed = [each.reweighted(np.full(len(each), _log(probability / len(used)))) for each in births]
-    carried = hypotheses.reweighted(np.full(len(hypotheses), _log(1.0 - probability)))
-    return unchecked_replace(belief, hypotheses=concatenate([carried, *weighed]))
+    carried = BIRTHS[config.births](belief, novelty, agreement, config)
+    unassigned = belief.unassigned + carried * (1.0 - belief.unassigned)
+    parts = [_weighed(hypotheses_of(belief), 1.0 - unassigned)]
+    for one in used:
+        taken = one.likelihood_power / len(used) * unassigned * assigned_by(one.posterior)
+        if taken > 0.0:
+            parts.append(_weighed(born_at(one.posterior, one.camera, belief, config), taken))
+            unassigned -= taken
+    if len(parts) == 1:
+        return unchecked_replace(belief, unassigned=unassigned)
+    return unchecked_replace(belief, hypotheses=concatenate(parts).normalized(), unassigned=unassigned)
+
+
+def assigned_by(posterior: PosePosterior) -> float:
+    """Probability that an image shows the true place."""
+    return (1.0 - posterior.outlier_probability) * float(posterior.weights.sum())
+
+
+def _weighed(hypotheses: Hypotheses, mass: float) -> Hypotheses:
+    return hypotheses.reweighted(np.full(len(hypotheses), _log(mass)))
 
 
 def reduce(belief: Belief, config: LocalizerConfig) -> Belief:
@@ -241,7 +270,8 @@ def initialize(belief: Belief, views: Sequence[View], config: LocalizerConfig) -
     camera = CameraMemory.first_seen(first, 0, unknown=0.0, adapts=config.adapt_errors)
     new = new.with_camera(first.camera, camera)
     posterior = first.posterior.seen_from(first.reference_from_camera)
-    return unchecked_replace(new, hypotheses=born_at(posterior, camera, new, config))
+    unassigned = 1.0 - assigned_by(posterior) if config.has_births else 0.0
+    return unchecked_replace(new, hypotheses=born_at(posterior, camera, new, config), unassigned=unassigned)
 
 
 def with_cameras(belief: Belief, views: Sequence[View], config: LocalizerConfig) -> Belief:
@@ -278,13 +308,17 @@ def describe(belief: Belief, views: Sequence[View], novelty: float, config: Loca
     Modes and status are in units of the first camera's noise.
     """
     hypotheses, noise = hypotheses_of(belief), next(iter(belief.cameras.values())).noise
-    modes = _ordered(describe_modes(hypotheses, noise, config.modes), belief.best, noise, config)
+    modes = tuple(
+        unchecked_replace(mode, weight=(1.0 - belief.unassigned) * mode.weight)
+        for mode in _ordered(describe_modes(hypotheses, noise, config.modes), belief.best, noise, config)
+    )
     estimate = Estimate(
         modes,
-        _status(modes[0], belief.agreement, noise, config),
+        _status(modes[0], belief, noise, config),
         hypotheses.poses,
         hypotheses.pose_covariance + noise.constant_covariance(hypotheses.pose_covariance),
         hypotheses.log_weights,
+        belief.unassigned,
         belief.agreement,
         novelty,
         belief.normalized_distance,
@@ -307,11 +341,11 @@ def _ordered(
     return modes
 
 
-def _status(best: Mode, agreement: float, noise: MeasurementNoise, config: LocalizerConfig) -> Status:
-    if agreement < config.lost_agreement:
+def _status(best: Mode, belief: Belief, noise: MeasurementNoise, config: LocalizerConfig) -> Status:
+    if belief.agreement < config.lost_agreement or belief.unassigned > config.lost_unassigned:
         return "lost"
     sure = best.weight >= config.converged_weight and best.widest_std_m <= config.widest_std_m(noise)
-    return "converged" if sure and agreement >= config.converged_agreement else "ambiguous"
+    return "converged" if sure and belief.agreement >= config.converged_agreement else "ambiguous"
 
 
 def hypotheses_of(belief: Belief) -> Hypotheses:

@@ -14,9 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from filtering.association import PLACE
 from filtering.config import GapConfig
-from filtering.measurement_noise import MeasurementNoise
+from filtering.measurement_noise import PLACE, MeasurementNoise
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 
@@ -36,6 +35,7 @@ class SearchStep:
         previous_from_current: Motion since the image before, one pose; None where it is unknown.
         elapsed_s: Seconds since the image before.
         likelihood_power: Of the image's likelihood, as of the filter, in [0, 1].
+        outlier_places: Of so many an outlier shows one, as of the filter.
         places: world_from_camera of the filter's hypotheses after the image, batch (p,), p ≥ 1.
         weights: Theirs, (p,).
     """
@@ -44,6 +44,7 @@ class SearchStep:
     previous_from_current: Poses | None
     elapsed_s: float
     likelihood_power: float
+    outlier_places: float
     places: Poses
     weights: Float64[np.ndarray, " p"]
 
@@ -83,8 +84,9 @@ def possible_at(posterior: PosePosterior, poses: Poses) -> Float64[np.ndarray, "
         posterior: Of the image.
         poses: world_from_camera, batch (n,).
     """
-    support = (_nearness(posterior, poses) * posterior.support).sum(axis=1)
-    return support / (support + posterior.noise.possible_fraction)
+    squared = squared_distances(posterior, poses)
+    near = posterior.noise.nearness(squared.ravel()).reshape(squared.shape)
+    return np.minimum((near * posterior.possible).sum(axis=1), 1.0)
 
 
 def most_probable_path(
@@ -171,15 +173,14 @@ def _log_likelihood(step: SearchStep, poses: Poses, power: float | None = None) 
     if step.posterior.is_uninformative:
         return np.zeros(len(poses))
     power = max(step.likelihood_power, _LEAST_POWER) if power is None else power
-    outlier = step.posterior.outlier_probability
+    outlier = step.posterior.outlier_probability / step.outlier_places
     outliers = outlier + (1.0 - outlier) * step.posterior.excuse(poses)
     return power * np.log(outliers + (1.0 - outliers) * possible_at(step.posterior, poses))
 
 
-def _nearness(posterior: PosePosterior, poses: Poses) -> Float64[np.ndarray, "n k"]:
-    """How near each of n poses is to each place, in [0, 1]; details finer than three standard deviations do not
-    count."""
-    near = np.zeros((len(poses), len(posterior.weights)))
+def squared_distances(posterior: PosePosterior, poses: Poses) -> Float64[np.ndarray, "n k"]:
+    """Squared Mahalanobis distance of each of n poses from each of k places, (n, k); infinite where it is far."""
+    squared = np.full((len(poses), len(posterior.weights)), np.inf)
     apart_m2, apart_rad2 = poses.squared_distances(posterior.means)
     variance_m, variance_rad = posterior.variances
     far = 30.0 * PLACE**2  # e⁻¹⁵
@@ -187,8 +188,8 @@ def _nearness(posterior: PosePosterior, poses: Poses) -> Float64[np.ndarray, "n 
     if len(which):
         residual = posterior.means[place].between(poses[which]).log()
         scaled = np.linalg.solve(posterior.covariances[place], residual[:, :, None])[:, :, 0]
-        near[which, place] = np.exp(-0.5 * np.vecdot(residual, scaled) / PLACE**2)
-    return near
+        squared[which, place] = np.vecdot(residual, scaled)
+    return squared
 
 
 def _reach(noise: MeasurementNoise) -> tuple[float, float]:

@@ -134,7 +134,10 @@ class VaporObservationModel:
         seen = self.engine.run(prepared, noise)
         samples = Poses(seen.rotation.astype(np.float64), seen.translation.astype(np.float64))
         ood_score = self._ood_score(seen.description)
-        return PosePosterior.from_samples(samples, self.description.calibration.errors, ood_score=ood_score)
+        model = self.description
+        return PosePosterior.from_samples(
+            samples, model.calibration.errors, ood_score=ood_score, prior=model.training_prior
+        )
 
     def ood_score(self, image: np.ndarray, camera: Camera | None) -> float:
         """How unlike the training images an image of a camera is, as `PosePosterior.ood_score`.

@@ -101,7 +101,7 @@ def walk_at_rates(seed, rates, seconds=6):
         truth.append(truth[-1] @ step)
         noise = Poses.exp(WHITE / np.sqrt(FASTEST) * rng.standard_normal(6))
         odometry.append(Odometry(step @ noise, np.diag(WHITE**2) / FASTEST, 1 / FASTEST))
-    estimates = []
+    estimates, noise = [], replace(ERRORS, weight_power=0.1)
     for rate in rates:
         localizer, apart = ParticleLocalizer(None, rng=RNG(0)), FASTEST // rate
         for i in range(0, count, apart):
@@ -109,7 +109,7 @@ def walk_at_rates(seed, rates, seconds=6):
             for part in odometry[max(i - apart, 0) : i]:
                 since = part if since is None else since.then(part)
             seen = lifted(truth[i] @ Poses.exp(error[i]), ALIKE)
-            estimate = localizer.update(seen_at(seen, (0.5, 0.25, 0.05)), since)
+            estimate = localizer.update(seen_at(seen, (0.5, 0.25, 0.05), noise=noise), since)
         estimates.append(estimate)
     return estimates
 
@@ -119,7 +119,7 @@ def test_a_walk_at_3_10_and_30_images_a_second_gives_the_same_belief(seed):
     """But for what the fresh share of the errors tells when it is seen ten times as often: a tenth of a std."""
     estimates = walk_at_rates(seed, (3, 10, 30))
     weights = np.array([weights_of(estimate) for estimate in estimates])
-    begun = np.array([0.5 / 0.55, 0.25 / 0.3, 0.5])
+    begun = np.sqrt([0.5, 0.25, 0.05])
     assert weights[0, 0] > 1.5 * begun[0] / begun.sum()  # precondition: the way has told something
     np.testing.assert_allclose(weights, weights[[1] * 3], atol=0.02)
     stds = np.array([np.sqrt(np.diag(estimate.modes[0].covariance)) for estimate in estimates])

@@ -88,7 +88,8 @@ def test_nothing_depends_on_the_unit_of_length(factor):
         ParticleLocalizer(None, used, rng=RNG(0))
         for used in (config, replace(config, gap=GapConfig(speed_m_per_s=1.5 * factor)))
     ]
-    rng, pose, models = RNG(2), Poses.identity(), (ERRORS, ERRORS.scaled(factor))
+    rng, pose, noise = RNG(2), Poses.identity(), replace(ERRORS, weight_power=0.5)
+    models = noise, noise.scaled(factor)
     statuses = set()
     for i in range(60):
         pose = pose @ AHEAD.previous_from_current

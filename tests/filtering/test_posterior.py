@@ -150,9 +150,11 @@ def test_an_image_that_is_uninformative_has_no_place_and_a_foreign_one_is_uninfo
     assert seen_at(Poses.identity(1), ood_score=1.01).is_uninformative
 
 
-def test_a_place_with_few_samples_is_nearly_as_possible_as_one_with_many():
-    posterior = seen_at(Poses.identity(3), (0.9, 0.05, 0.0))
-    np.testing.assert_allclose(posterior.possible, [0.9 / 0.95, 0.5, 0.0])
+def test_a_place_with_few_samples_is_as_possible_as_one_with_many_unless_weights_are_calibrated():
+    posterior = seen_at(Poses.identity(4), (0.9, 0.05, 0.009, 0.0))
+    np.testing.assert_allclose(posterior.possible, [1.0, 1.0, 0.2, 0.0])
+    calibrated = replace(posterior, noise=replace(posterior.noise, weight_power=1.0, possible_fraction=1e-9))
+    np.testing.assert_allclose(calibrated.shares, posterior.weights / posterior.weights.sum())
 
 
 def any_covariances(count=4):

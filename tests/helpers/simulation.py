@@ -156,6 +156,6 @@ def associate(
 ) -> Associated:
     """Weigh and correct a belief by an image of a camera at a distance from its last one."""
     pairs = gate(belief, posterior, [Correlation(camera, distance)])
-    found = evidence(belief, posterior, pairs)
+    found = evidence(belief, posterior, pairs, LocalizerConfig().outlier_places)
     after = correct(belief.reweighted(novelty * found.log_likelihood), posterior, pairs, found.outlier)
     return Associated(after, found.log_likelihood, found.agreement)

@@ -8,6 +8,7 @@ from filtering.errors import VaporTrackError
 from filtering.localizer import ParticleLocalizer
 from filtering.measurement_noise import MeasurementNoise
 from filtering.posterior import PosePosterior
+from filtering.training_prior import TrainingPrior
 from tests.helpers.observing import CONFIG, IMAGE, observe, uncalibrated
 from vapor.checkpoints.calibration import Calibration
 from vapor.images import prepare
@@ -75,9 +76,12 @@ def test_the_calibration_says_what_is_a_place_and_how_it_errs():
     noise = MeasurementNoise(radius_m=0.8, radius_rad=0.6, spread=1.5, noise_floor=(0.1, 0.2, 0.3, 0.01, 0.02, 0.03))
     checkpoint = replace(uncalibrated(), calibration=Calibration(errors=noise))
     posterior = observe(IMAGE, model=VaporObservationModel(checkpoint, num_samples=50, device="cpu"))
-    expected = PosePosterior.from_samples(observe(IMAGE).samples, noise)
+    expected = PosePosterior.from_samples(
+        observe(IMAGE).samples, noise, prior=TrainingPrior(checkpoint.prior_poses, 0.8, 0.6)
+    )
     np.testing.assert_array_equal(posterior.means.as_matrix(), expected.means.as_matrix())
     np.testing.assert_array_equal(posterior.covariances, expected.covariances)
+    np.testing.assert_array_equal(posterior.weights, expected.weights)
     assert (posterior.noise, posterior.ood_score) == (noise, 0.0)
 
 

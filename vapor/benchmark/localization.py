@@ -115,6 +115,7 @@ def _belief(beliefs: Results, images: Sequence[int], walks: Walks) -> dict[str, 
         "status": {name: walks.mean(values_at(beliefs, "status", name), images) for name in beliefs[0]["status"]},
         "rightly_converged": walks.mean(right, images),
         "truth_among_modes": walks.mean(values_at(beliefs, "truth_among_modes"), images),
+        "reliability": _reliability(values_at(beliefs, "reliability"), walks),
         "false_recoveries": sum(false_recoveries),
         "runs_with_false_recovery": sum(number > 0 for number in false_recoveries),
         "runs_wrongly_converged": walks.number([fraction > 0 for fraction in wrong]),
@@ -144,6 +145,19 @@ def _consistency(parts: Results, walks: Walks) -> dict[str, Any]:
         "coverage": {region: walks.mean(values_at(parts, "coverage", region), images) for region in REGIONS},
         "median_nees": walks.median(values_at(parts, "median_nees")),
     }
+
+
+def _reliability(parts: Results, walks: Walks) -> dict[str, Any]:
+    """By ranges of the best mode's weight, over all images."""
+    found = {}
+    for low in sorted({low for part in parts for low in part}):
+        of_range = [part.get(low, {"images": 0, "stated": None, "right": None}) for part in parts]
+        images = values_at(of_range, "images")
+        found[low] = {
+            "images": sum(images),
+            **{name: walks.mean(values_at(of_range, name), images) for name in ("stated", "right")},
+        }
+    return found
 
 
 def _wrong_fraction(belief: Mapping[str, Any]) -> float:

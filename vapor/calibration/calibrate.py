@@ -29,6 +29,7 @@ from vapor.checkpoints.file_format import find_model, load_checkpoint, save_chec
 from vapor.checkpoints.scene_scale import log_clutter_density, scene_extent, spaced
 from vapor.checkpoints.stored_tensors import NETWORK
 from vapor.engines.engine import Device, resolve_device
+from vapor.evaluation.reliability import Reliability
 from vapor.evaluation.validation import predict
 from vapor.landmarks.build import Advance
 from vapor.regressors.base import PoseRegressor
@@ -118,6 +119,8 @@ class CalibrationResult:
         images: Number of held-out images of the fit; 0 where there were too few.
         effective_images: Number of independent images with the same information.
         coverage: Fractions of these images whose true pose is in the 50, 90 and 95 % region of its likeliest place.
+        reliability: How often their best place is the true one, by its stated probability.
+        weight_power: What the log ratio of two weights of a single image is worth, see `PlaceWeights.fitted_power`.
         odometry: Source of the odometry's noise: "held-out data", "training data" or "none".
         notes: Reasons for values that were kept.
         skipped: Number of images and poses that were skipped in reading, by reason.
@@ -129,6 +132,8 @@ class CalibrationResult:
     images: int = 0
     effective_images: float = 0.0
     coverage: tuple[float, float, float] | None = None
+    reliability: Reliability | None = None
+    weight_power: float = 0.0
     odometry: str = "none"
     notes: tuple[str, ...] = ()
     skipped: Mapping[str, int] = field(default_factory=dict)
@@ -192,13 +197,23 @@ def calibrate(
         before = calibration.bandwidth_translation_m, calibration.bandwidth_rotation_rad
         widths, wider = fit_widths(samples, truth, scene, before)
         trained = found[1] if len(found) > 1 else None
-        fit = fit_errors(found[0], travel, scene, calibration.errors, trained=trained, same_conditions=same_conditions)
+        fit = fit_errors(
+            found[0],
+            travel,
+            scene,
+            calibration.errors,
+            trained=trained,
+            training_poses=prior_poses,
+            same_conditions=same_conditions,
+        )
     return CalibrationResult(
         Calibration(*widths, fit.noise, calibration.odometry),
         (wider, *fit.changes),
         len(chosen),
         fit.effective_images,
         fit.coverage,
+        fit.reliability,
+        fit.weight_power,
         source,
     )
 

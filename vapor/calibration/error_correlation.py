@@ -181,8 +181,9 @@ def outlier_lengths(
 ) -> float:
     """The distance over which images are one vote on the place, in lengths of errors; 1 where no image is mistaken.
 
-    The correlation of the evidence (`Places.evidence`) of two images of a pass falls with the distance between them.
-    The weight of a vote follows from the sum of an image's correlations; uncorrelated evidence counts once a length.
+    The correlation of the evidence (`PlaceWeights.evidence`) of two images of a pass falls with the distance between
+    them. The weight of a vote follows from the sum of an image's correlations; uncorrelated evidence counts once a
+    length.
     Under other conditions than on held-out passes mistakes last longer (three to five times in two synthetic buildings
     at another hour), so the excess over one length is tripled, unless `same_conditions`.
     """

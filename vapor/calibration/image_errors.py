@@ -11,10 +11,19 @@ from torch import Tensor
 
 from filtering.measurement_noise import LEAST_SCORE, OUT_OF_DISTRIBUTION, MeasurementNoise, Six
 from filtering.se3 import Poses
+from filtering.training_prior import TrainingPrior
 from sequences.odometry_fit.result import six
-from vapor.calibration.error_correlation import Travel, effective_images, fit_error_correlation, outlier_lengths
+from vapor.calibration.error_correlation import (
+    ErrorCorrelation,
+    Travel,
+    effective_images,
+    fit_error_correlation,
+    outlier_lengths,
+)
+from vapor.calibration.place_weights import PlaceWeights
 from vapor.calibration.places import Observations, Places, log_densities, log_sums
 from vapor.checkpoints.scene_scale import RADIUS_RAD, log_clutter_density, scene_extent
+from vapor.evaluation.reliability import Reliability
 
 _STARTS = (0.003, 0.02, 0.1, 0.3)  # initial noise floors, in extents
 _TRIES, _STEPS = 12, 80  # steps of the optimiser, from every start and from the best
@@ -171,11 +180,16 @@ def ordinary_score(score: Float64[np.ndarray, " n"]) -> float:
 
 @dataclass(frozen=True)
 class ErrorFit:
-    """Fitted errors of posteriors, with the coverage of their 50, 90 and 95 % regions."""
+    """Fitted errors of posteriors, with the coverage of their 50, 90 and 95 % regions, the reliability of their best
+    places, and what the log ratio of two weights of a single image is worth.
+
+    The noise keeps its own `weight_power`: a preference lasts along a walk for longer than mistakes show."""
 
     noise: MeasurementNoise
     changes: tuple[Change, ...]
     coverage: tuple[float, float, float]
+    reliability: Reliability
+    weight_power: float
     effective_images: float
 
 
@@ -186,6 +200,7 @@ def fit_errors(
     before: MeasurementNoise,
     *,
     trained: Observations | None = None,
+    training_poses: Poses | None = None,
     same_conditions: bool = False,
 ) -> ErrorFit:
     """Fit the errors of the posteriors of n held-out images.
@@ -205,6 +220,8 @@ def fit_errors(
         scene: Poses that outline the scene, the unit of all lengths.
         before: Errors before the fit, from which other fields are kept.
         trained: Training images, if errors may grow with the OOD score.
+        training_poses: Poses of training images, evenly chosen, whose density is divided out of weights; None where it
+            is even.
         same_conditions: Whether held-out images show the light and season of use.
     """
     extent = scene_extent(scene)
@@ -217,7 +234,6 @@ def fit_errors(
         log_clutter_density=flat,
         **found.settings(extent),
     )
-    evidence = places.evidence(noise)
     if held_out.score is not None:
         if trained is not None and trained.score is not None:
             noise = growing_errors(noise, places, held_out.score, trained, trained.score)
@@ -235,9 +251,19 @@ def fit_errors(
         correlated_fraction=correlated.fraction,
         length_m=correlated.length_m,
         length_rad=correlated.length_rad,
-        outlier_lengths=outlier_lengths(evidence, travel, correlated, same_conditions=same_conditions),
         typical_std=places.typical_std(noise),
     )
+    prior = None if training_poses is None else TrainingPrior(training_poses, radius, RADIUS_RAD)
+    weights = PlaceWeights.of(held_out, noise, prior)
+
+    def mistaken(noise: MeasurementNoise) -> float:
+        return outlier_lengths(weights.evidence(noise), travel, correlated, same_conditions=same_conditions)
+
+    longer = max(mistaken(replace(noise, weight_power=1.0)), 1.0)  # where weights do not count, no mistake shows
+    votes = ErrorCorrelation(1.0, longer * correlated.length_m, longer * correlated.length_rad)
+    worth = effective_images(travel, votes) / len(held_out.truth)
+    power, _ = weights.fitted_power(noise, worth)
+    noise = replace(noise, outlier_lengths=mistaken(noise))
     places_before = Places.near(held_out.samples, held_out.truth, before.radius_m, before.radius_rad)
     if held_out.score is not None:
         places_before = places_before.grown(before, held_out.score)
@@ -257,7 +283,7 @@ def fit_errors(
     for (what, names), gained in zip(fits.items(), (gain, None), strict=True):
         formerly, now = ({name: getattr(model, name) for name in names} for model in (before, noise))
         changes.append(Change(what, formerly, now, gained))
-    return ErrorFit(noise, tuple(changes), places.coverage(noise), effective)
+    return ErrorFit(noise, tuple(changes), places.coverage(noise), weights.reliability(noise, worth), power, effective)
 
 
 def _widest_places(held_out: Observations, extent: float, flat: float) -> tuple[float, Places, FoundErrors]:

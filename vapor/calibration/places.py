@@ -11,7 +11,6 @@ from jaxtyping import Bool, Float64, Int64
 from scipy.stats import f as fisher
 from torch import Tensor
 
-from filtering.association import PLACE
 from filtering.measurement_noise import MeasurementNoise, Six
 from filtering.moments import group_moments
 from filtering.posterior import find_places
@@ -126,15 +125,6 @@ class Places:
         log_places = log_sums(torch.from_numpy(self._log_terms(noise)), torch.from_numpy(self.image)).numpy()
         outliers = noise.outlier_probability
         return np.logaddexp(np.log(outliers) + noise.log_clutter_density, np.log1p(-outliers) + log_places)
-
-    def evidence(self, noise: MeasurementNoise) -> Float64[np.ndarray, " n"]:
-        """Log of the support of each image for the true place, as in `associate`."""
-        covariance = noise.covariance(self.covariance)
-        solved = np.linalg.solve(covariance, self.residual[..., None])[..., 0]
-        squared = np.einsum("pi,pi->p", self.residual, solved)
-        support = np.bincount(self.image, self.fraction * np.exp(-0.5 * squared / PLACE**2))
-        possible = support / (support + noise.possible_fraction)
-        return np.log(noise.outlier_probability + (1.0 - noise.outlier_probability) * possible)
 
     def residuals(self, noise: MeasurementNoise) -> tuple[Float64[np.ndarray, "n 6"], Bool[np.ndarray, " n"]]:
         """Errors of the likeliest places in standard deviations, and the mask of images that beat a flat density.

@@ -11,6 +11,7 @@ from scipy.optimize import minimize
 from scipy.stats import f as fisher
 
 from filtering.mapped_views import MOST_ELSEWHERE, unshown
+from filtering.measurement_noise import MeasurementNoise
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from vapor.calibration.verified_errors import LeaveOut
@@ -64,10 +65,12 @@ class SeenPlaces:
             float(posterior.weights[inside].sum()),
         )
 
-    def support(self, settings: Verification) -> float:
-        """The weight of the right verified places."""
+    def possible(self, settings: Verification, noise: MeasurementNoise) -> float:
+        """How possible the true place is, as in `PosePosterior.possible`, with the noise of verified places."""
         scores = settings.scores(self.inliers, self.proposed)
-        return float(scores[self.right].sum() / (scores.sum() + self.others + settings.clutter))
+        if self.right.any():
+            return min(float(noise.possible(scores)[self.right].sum()), 1.0)
+        return min(self.others_right / max(float(scores.sum()), 1e-300), 1.0)
 
     def log_likelihood(self, settings: Verification) -> float:
         """Log probability of the true pose: at a verified place, else at another."""
@@ -116,12 +119,11 @@ def fit_verification(images: Sequence[SeenPlaces], effective: float, before: Ver
 
 
 def evidence(
-    images: Sequence[SeenPlaces], settings: Verification, outlier_probability: float, possible_fraction: float
+    images: Sequence[SeenPlaces], settings: Verification, noise: MeasurementNoise
 ) -> Float64[np.ndarray, " n"]:
-    """Log of the support of each image for the true place, as in the filter."""
-    support = np.array([each.support(settings) for each in images])
-    possible = support / (support + possible_fraction)
-    return np.log(outlier_probability + (1.0 - outlier_probability) * possible)
+    """Log likelihood of the true place by each image, as in the filter, with the noise of verified places."""
+    possible = np.array([each.possible(settings, noise) for each in images])
+    return np.log(noise.outlier_probability + (1.0 - noise.outlier_probability) * possible)
 
 
 def none_right(images: Sequence[SeenPlaces], effective: float) -> float:

@@ -6,12 +6,14 @@ import hashlib
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import KW_ONLY, asdict, dataclass, field, fields
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from filtering.se3 import Poses
+from filtering.training_prior import TrainingPrior
 from sequences.frame import Camera
 from vapor.checkpoints.calibration import Calibration
 from vapor.checkpoints.stored_tensors import LandmarksConfig, landmark_arrays
@@ -49,6 +51,12 @@ class _Model:
     """The file that it was read from; None of a model in memory."""
     landmarks: Landmarks | None = None
     """Points of the place, by which poses are found to centimetres; None where there are none."""
+
+    @cached_property
+    def training_prior(self) -> TrainingPrior:
+        """How often its network saw each place."""
+        errors = self.calibration.errors
+        return TrainingPrior(self.prior_poses, errors.radius_m, errors.radius_rad)
 
 
 @dataclass(frozen=True)

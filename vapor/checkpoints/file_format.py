@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 FORMAT = "vapor-track model"
-VERSION = 11
+VERSION = 12
 ONNX = ".onnx"
 """Suffix of exported models."""
 SHIPPED = Path(__file__).resolve().parents[1] / "models"

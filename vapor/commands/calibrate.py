@@ -19,7 +19,10 @@ from vapor.checkpoints.file_format import find_model, is_model
 from vapor.commands.console import OutputPath, Overwrite, parse, show, show_notices, show_skipped, usage_error
 from vapor.commands.progress import progress
 from vapor.engines.engine import Device
+from vapor.evaluation.reliability import Reliability
 from vapor.training_data.entries import files_read
+
+_BAR, _MARK, _WIDTH = "=", "|", 40  # of the diagram, characters
 
 
 @dataclass(frozen=True)
@@ -98,10 +101,27 @@ def show_calibration(result: CalibrationResult) -> None:
         found = ", ".join(f"{100 * fraction:.0f} %" for fraction in result.coverage)
         levels = ", ".join(f"{100 * level:.0f}" for level in REGIONS)
         show(f"true poses in the {levels} % regions of single images: {found}")
+    if result.reliability is not None:
+        show(_reliability_table(result.reliability))
+        show(f"the log ratio of two weights of a single image is worth {result.weight_power:.2f} of itself")
     if result.calibration.odometry is not None and result.odometry != "none":
         show(f"{result.odometry}: {result.calibration.odometry}")
     for note in result.notes:
         show(f"calibration: {note}")
+
+
+def _reliability_table(found: Reliability) -> Table:
+    """A reliability diagram of single images: bars of how often the best place is right, and its stated probability."""
+    table = Table(title="the best place of a single image, as in the filter", title_justify="left")
+    for name in ("stated", "right", "images", "independent", f"0 to 100 %: {_BAR} right, {_MARK} stated"):
+        table.add_column(name, no_wrap=True)
+    for each in found.bins:
+        bar = [*(_BAR * round(_WIDTH * each.right)).ljust(_WIDTH)]
+        bar[min(int(_WIDTH * each.stated), _WIDTH - 1)] = _MARK
+        numbers = f"{each.stated:.0%}", f"{each.right:.0%}", str(each.images), f"{each.effective_images:.0f}"
+        table.add_row(*numbers, "".join(bar))
+    table.caption = f"expected calibration error {100 * found.expected_error:.1f} %, on the images of the fit"
+    return table
 
 
 def _text(name: str, value: float | Six) -> str:

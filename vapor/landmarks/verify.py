@@ -13,10 +13,9 @@ import cv2
 import numpy as np
 from jaxtyping import Float64, UInt8
 
-from filtering.association import PLACE
 from filtering.errors import require_within
 from filtering.mapped_views import MappedViews
-from filtering.measurement_noise import OUT_OF_DISTRIBUTION, MeasurementNoise
+from filtering.measurement_noise import OUT_OF_DISTRIBUTION, PLACE, MeasurementNoise
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from sequences.frame import Camera

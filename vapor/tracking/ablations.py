@@ -76,7 +76,7 @@ ABLATIONS: Mapping[str, Ablation] = MappingProxyType(
         ),
         "trusting-fractions": Ablation(
             "a place is as probable as the fraction of the samples in it",
-            noise=lambda noise: replace(noise, possible_fraction=1.0),
+            noise=lambda noise: replace(noise, possible_fraction=1e-9, weight_power=1.0),
         ),
         "no-odometry-bias": Ablation(
             "the odometry errs as white noise only",
@@ -84,7 +84,9 @@ ABLATIONS: Mapping[str, Ablation] = MappingProxyType(
         ),
         "no-injection": Ablation(
             "no hypothesis is added after the first image",
-            localizer=lambda config: replace(config, births="rate", birth_rate=0.0, max_birth_rate=0.0),
+            localizer=lambda config: replace(
+                config, births="rate", birth_rate=0.0, max_birth_rate=0.0, odometry_failures_per_s=0.0
+            ),
         ),
         "inject-on-doubt": Ablation(
             "hypotheses are added where the images cast doubt, as in AMCL",

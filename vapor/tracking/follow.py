@@ -18,6 +18,7 @@ from filtering.motion import Odometry
 from filtering.observation import Observation
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
+from filtering.training_prior import TrainingPrior
 from sequences.odometry_fit.result import OdometryFit
 from vapor.tracking.ablations import ABLATIONS, Ablation
 from vapor.tracking.hindsight import LAG_S, hindsight_of, lagged_of, smoothed_belief
@@ -77,10 +78,12 @@ class Segment:
         return Poses.concatenate([dead_reckoning(self.truth[a], self.odometry[a:b]) for a, b in segments])
 
 
-def posterior_of(samples: Poses, noise: MeasurementNoise, ood_score: float) -> PosePosterior:
+def posterior_of(
+    samples: Poses, noise: MeasurementNoise, ood_score: float, prior: TrainingPrior | None
+) -> PosePosterior:
     """The posterior of an image by its samples; without any, an uninformative one, see `ParticleLocalizer.observe`."""
     if len(samples):
-        return PosePosterior.from_samples(samples, noise, ood_score=ood_score)
+        return PosePosterior.from_samples(samples, noise, ood_score=ood_score, prior=prior)
     return replace(PosePosterior.uninformative(noise), ood_score=ood_score)
 
 

@@ -14,6 +14,7 @@ from filtering.measurement_noise import MeasurementNoise
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
+from filtering.training_prior import TrainingPrior
 from sequences.odometry_fit.result import OdometryFit
 from vapor.calibration.calibrate import CalibrationResult, predict_all
 from vapor.calibration.ood_model import extract_features
@@ -57,7 +58,7 @@ def check(
         held_out: Mask of the held-out images, (n,).
         result: Calibration of the network.
         ood_model: OOD model of the network, if any.
-        scene: Poses that outline the scene.
+        scene: Prior poses of the model, which outline the scene.
         landmarks: Landmarks of the training images, if any.
         seed: Seed of latent noise and of the filter's draws.
         advance: Called with the number of images done and of all.
@@ -71,13 +72,13 @@ def check(
         return None, fitted
     runs = [(rows[: max(_MOST_IMAGES // len(runs), LEAST_PASS)], odometry) for rows, odometry in runs]
     parts = [images.select(rows) for rows, _ in runs]
-    passes = []
+    passes, prior = [], TrainingPrior(scene, fitted.errors.radius_m, fitted.errors.radius_rad)
     for (rows, odometry), some, samples in zip(runs, parts, predict_all(network, parts, seed, advance), strict=True):
         scores = ood_model.ood_score(extract_features(network, some)) if ood_model else np.zeros(len(rows))
         found_poses: list[Sequence[VerifiedPose]] = [() for _ in rows]
         if landmarks is not None:
             for i, row in enumerate(rows.tolist()):
-                coarse = posterior_of(samples[i], fitted.errors, float(scores[i]))
+                coarse = posterior_of(samples[i], fitted.errors, float(scores[i]), prior)
                 found_poses[i] = landmarks.found(images, row, coarse)
         passes.append(_Pass(some, odometry[: len(rows)], samples, scores, found_poses))
 
@@ -86,7 +87,8 @@ def check(
     candidates.append((1.0, True, replace(default_errors(scene), verified=fitted.errors.verified)))
     found, followed, kept = None, [], fitted.errors
     for inflation, assumed, noise in candidates:
-        again = [each.followed(noise, fitted.odometry, landmarks, seed) for each in passes]
+        prior = TrainingPrior(scene, noise.radius_m, noise.radius_rad)
+        again = [each.followed(noise, prior, fitted.odometry, landmarks, seed) for each in passes]
         other = replace(_summed(again), inflation=inflation, assumed=assumed)
         if found is None or other.rank > found.rank:
             found, followed, kept = other, again, noise
@@ -109,13 +111,18 @@ class _Pass:
     verified_poses: list[Sequence[VerifiedPose]]
 
     def followed(
-        self, noise: MeasurementNoise, fit: OdometryFit | None, landmarks: HeldOutLandmarks | None, seed: int
+        self,
+        noise: MeasurementNoise,
+        prior: TrainingPrior,
+        fit: OdometryFit | None,
+        landmarks: HeldOutLandmarks | None,
+        seed: int,
     ) -> Followed:
         """The filter along the pass, with these errors of images."""
         config = LocalizerConfig() if fit is None else replace(LocalizerConfig(), odometry_bias=fit.odometry_bias)
 
         def posterior(image: int) -> PosePosterior:
-            coarse = posterior_of(self.samples[image], noise, float(self.scores[image]))
+            coarse = posterior_of(self.samples[image], noise, float(self.scores[image]), prior)
             if landmarks is None:
                 return coarse
             return verified(coarse, self.verified_poses[image], landmarks.verification, landmarks.mapped)

@@ -11,6 +11,7 @@ from jaxtyping import Bool
 from filtering.mapped_views import MappedViews
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
+from filtering.training_prior import TrainingPrior
 from vapor.calibration.calibrate import NUM_SAMPLES
 from vapor.calibration.camera_fit import fit_camera
 from vapor.calibration.error_correlation import ErrorCorrelation, Travel, effective_images, outlier_lengths
@@ -154,6 +155,7 @@ class HeldOutLandmarks:
         network: PoseRegressor,
         split: Split,
         calibration: Calibration,
+        prior_poses: Poses,
         ood_model: OodModel | None,
         config: TrainConfig,
     ) -> HeldOutLandmarks:
@@ -167,8 +169,9 @@ class HeldOutLandmarks:
         some = split.source.select(rows)
         scores = ood_model.ood_score(extract_features(network, some)) if ood_model else np.zeros(len(rows))
         seen, which, depth_m = [], [], landmarks.built.material.depth_m
+        prior = TrainingPrior(prior_poses, calibration.errors.radius_m, calibration.errors.radius_rad)
         for row, samples, score in zip(rows, predict(network, some, NUM_SAMPLES, config.seed), scores, strict=True):
-            posterior = posterior_of(samples, calibration.errors, float(score))
+            posterior = posterior_of(samples, calibration.errors, float(score), prior)
             found = held.found(split.source, int(row), posterior)
             if found:
                 which.append(int(row))
@@ -182,7 +185,7 @@ class HeldOutLandmarks:
         travel = Travel.along(split.source.poses, pass_numbers(split.source))[np.array(which)]
         effective = effective_images(travel, correlation)
         verification, wrong = fit_verification(seen, effective, landmarks.verification), none_right(seen, effective)
-        weights = evidence(seen, verification, wrong, noise.possible_fraction)
+        weights = evidence(seen, verification, replace(own, outlier_probability=wrong))
         new_view_m = _NEW_VIEW * depth_m  # mistakes last as long as views, not as errors of millimetres
         views = ErrorCorrelation(1.0, new_view_m, _NEW_VIEW)
         mistaken = outlier_lengths(weights, travel, views) * new_view_m / own.length_m

@@ -88,7 +88,7 @@ def calibrate_and_check(
     if landmarks is not None:
         verified = landmarks.verified.noise
         calibration = _with_verified(calibrated.calibration, verified)
-        held = HeldOutLandmarks.of(landmarks, model, split, calibration, ood_model, config)
+        held = HeldOutLandmarks.of(landmarks, model, split, calibration, prior_poses, ood_model, config)
         verified = replace(verified, outlier_probability=held.none_right, outlier_lengths=held.outlier_lengths)
         calibrated = replace(calibrated, calibration=_with_verified(calibration, verified))
     checked, calibration = check(

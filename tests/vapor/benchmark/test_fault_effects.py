@@ -90,7 +90,7 @@ def test_an_image_that_is_uninformative_moves_the_filter_as_no_image_does():
 
 
 def posterior(ood_score: float = 0.0) -> PosePosterior:
-    return posterior_of(Poses.identity(0), PosePosterior.uninformative().noise, ood_score)
+    return posterior_of(Poses.identity(0), PosePosterior.uninformative().noise, ood_score, None)
 
 
 def test_a_frozen_camera_is_uninformative_and_is_as_unfamiliar_as_its_last_image():

@@ -37,6 +37,10 @@ def result(
         "converged_images": consistency(round(100 * converged), wrong),
         "after_convergence": consistency(70 if success else 0),
         "truth_among_modes": 0.9,
+        "reliability": {
+            "0.5": {"images": 20, "stated": 0.55, "right": 0.5},
+            f"{0.6 + 0.1 * walk:.1f}": {"images": 80, "stated": 0.65, "right": 1.0 - wrong},
+        },
         "longest_wrong_s": 10 * converged * wrong,
         "false_recoveries": 1,
         "kidnap": {"right_before": True, "images": recovered} if kind == "kidnap" else None,
@@ -68,6 +72,18 @@ def test_fractions_of_images_are_weighed_by_how_many_images_there_were():
     assert total["methods"]["filter"]["recall_after_convergence"]["0.1m/10deg"].value == pytest.approx(0.9)
     assert "successes" not in total["methods"]["single_image"]
     assert total["failed"] == ["ceiling-cue-0.1"]
+
+
+def test_reliability_is_over_all_images_of_all_runs_by_the_weight_of_the_best_mode():
+    runs = [result("cue", converged=0.9, wrong=wrong, walk=walk) for walk, wrong in ((0, 0.0), (0, 0.5), (1, 0.0))]
+    summary = summarise(runs)
+    ranges = summary["ceiling"]["cue"]["full"]["belief"]["filter"]["reliability"]
+    assert {low: row["images"] for low, row in ranges.items()} == {"0.5": 60, "0.6": 160, "0.7": 80}
+    assert ranges["0.6"]["right"].value == pytest.approx(0.75)
+    assert ranges["0.7"]["stated"].value == pytest.approx(0.65)
+    shown = [table for table in tables(summary) if "0.6 and more" in list(table.columns[0].cells)]
+    assert len(shown) == 1
+    assert "75" in list(shown[0].columns[2].cells)[1]
 
 
 def test_a_wrong_place_counts_in_any_image_and_in_a_twentieth_of_them():

@@ -37,6 +37,9 @@ def network_for(images):
     return VariationalPoseRegressor(NETWORK, SceneBox.around(images.poses)).eval()
 
 
+FITS = ["kernel widths", "errors of an image", "how long they last"]
+
+
 @pytest.fixture(autouse=True)
 def few_samples(monkeypatch):
     monkeypatch.setattr(calibrate_module, "NUM_SAMPLES", 100)
@@ -66,7 +69,9 @@ def test_errors_are_fitted_on_images_and_odometry_on_what_leads_between_them():
     assert result.images == 80
     assert (seen[0], seen[-1]) == ((1, 80), (80, 80))
     assert 1.0 <= result.effective_images <= 80
-    assert [change.what for change in result.changes] == ["kernel widths", "errors of an image", "how long they last"]
+    assert [change.what for change in result.changes] == FITS
+    assert result.reliability is not None
+    assert sum(each.images for each in result.reliability.bins) == 80
     assert result.coverage is not None
     assert 0.0 <= result.coverage[0] <= result.coverage[1] <= result.coverage[2] <= 1.0
     noise = result.calibration.errors
@@ -127,7 +132,7 @@ def test_training_calibrates_at_its_end_and_stores_values_and_gains(tmp_path):
     if result.check.inflation == 1.0 and not result.check.assumed:
         assert stored.calibration == calibrated.calibration
     told = [change["what"] for change in stored.training["calibration"]["changes"]]
-    assert told == ["kernel widths", "errors of an image", "how long they last"]
+    assert told == FITS
     assert stored.training["calibration"] == json.loads(json.dumps(calibrated.provenance))
     off = replace(config, calibrate=False, bandwidth_translation_m=0.3)
     without = train_on({"a": frames_of(45)}, tmp_path / "n.safetensors", off, validation=held_out)
@@ -145,6 +150,8 @@ def test_the_command_writes_the_same_weights_with_another_calibration(tiny_model
     printed = capsys.readouterr().out
     assert "60 held-out images" in printed
     assert "correlated_fraction" in printed
+    assert "the log ratio of two weights of a single image is worth" in printed
+    assert "expected calibration error" in printed
     assert "true poses in the 50, 90, 95 % regions of single images" in printed
     before, after = load_checkpoint(tiny_model), load_checkpoint(output)
     assert after.calibration.bandwidth_translation_m != before.calibration.bandwidth_translation_m

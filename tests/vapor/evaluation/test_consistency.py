@@ -74,6 +74,8 @@ def test_a_belief_is_evaluated_by_its_best_mode_where_it_says_converged():
     assert found["truth_among_modes"] == 1.0
     assert found["false_recoveries"] == 1
     assert found["kidnap"] is None
+    assert sum(each["images"] for each in found["reliability"].values()) == n
+    assert sum(each["images"] * each["right"] for each in found["reliability"].values()) == pytest.approx(28)
 
 
 def test_a_kidnapped_belief_is_evaluated_before_and_after():

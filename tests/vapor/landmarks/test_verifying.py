@@ -176,9 +176,9 @@ def test_how_often_all_verified_places_are_wrong_is_found_with_caution():
     assert none_right([], 1.0) == pytest.approx(0.05)
     assert none_right(many, 500.0) < none_right(few, 5.0) < 0.05
     assert none_right([seen(True), seen(False)] * 50, 100.0) == pytest.approx(0.46, abs=0.01)
-    said = evidence([seen(True), seen(False)], Verification(), 0.1, 0.05)
+    said = evidence([seen(True), seen(False)], Verification(), MeasurementNoise(outlier_probability=0.1))
     assert said[0] > np.log(0.8)
-    assert said[1] == pytest.approx(np.log(0.1))
+    assert said[1] == pytest.approx(np.log(0.1), abs=0.05)  # another place of the network may be the true one
 
 
 def two_rooms(built):

@@ -84,7 +84,6 @@ def test_smoothed_poses_are_doubtful_where_odometry_was_wrong(kind, tmp_path, ca
         assert not doubtful.any()
         assert "doubtful" not in printed
         return
-    assert (off_m > 0.5).sum() > 3 if kind == "slipping" else (off_m <= 0.5).all()  # what looks carried off is right
     assert doubtful[off_m > 0.5].all()
     assert doubtful[off_m < 0.1].mean() < 0.1  # images about a pose count, too
     assert (

@@ -150,6 +150,7 @@ def tables(summary: Summary) -> Iterator[Table]:
             yield _methods_table(f"{scene}, {KINDS[kind].meaning}: {runs}{of_ablation}", total)
             yield _consistency_table(total)
             yield _status_table(total)
+            yield _reliability_table(total["belief"][OURS]["reliability"])
             yield _position_table(total)
             if kind == "kidnap":
                 yield table_of(None, "method", _RECOVERY, _by_label(BELIEVING, total["belief"], "kidnap"))
@@ -246,6 +247,18 @@ def _status_table(total: Aggregate) -> Table:
         f"below figures: 95 % intervals over {total['walks']} walks;"
         f" where all agree, up to {percent(dissent(total['walks']))} of others may not"
     )
+    return table
+
+
+def _reliability_table(ranges: Aggregate) -> Table:
+    """Whether the weight of the filter's best mode is the probability that it is right."""
+    columns: Columns = {
+        "stated": lambda row: percent(row["stated"].value),
+        "right": lambda row: percent_cell(row["right"]),
+        "images": lambda row: str(row["images"]),
+    }
+    table = table_of(None, "weight of the best mode", columns, {f"{low} and more": row for low, row in ranges.items()})
+    table.caption = "all images of all runs; right: within 0.3 m and 20°"
     return table
 
 

@@ -160,7 +160,7 @@ class Observed(NamedTuple):
 
     def posterior(self, checkpoint: Checkpoint, noise: MeasurementNoise) -> PosePosterior:
         """The posterior of the image, by the model and its measurement noise."""
-        coarse = posterior_of(self.samples, noise, self.ood_score)
+        coarse = posterior_of(self.samples, noise, self.ood_score, checkpoint.training_prior)
         landmarks = checkpoint.landmarks
         if landmarks is None:
             return coarse
