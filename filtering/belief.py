@@ -23,6 +23,7 @@ class Belief:
         unassigned: Probability that it is at none of these, but anywhere in the map.
         cameras: The memory of each camera, by its name.
         known: The modes of the last estimate, moved since.
+        calibrated: Whether the latest image had Student t tails, see `PosePosterior.calibrated`.
         agreement: Fraction of the belief that fits the latest images, in [0, 1].
         usual_agreement: The same over a longer time.
         unseen_s: Seconds since an image with any place, or one out of distribution.
@@ -36,6 +37,7 @@ class Belief:
     unassigned: float = 1.0
     cameras: Mapping[str, CameraMemory] = field(default_factory=dict)
     known: KnownModes = field(default_factory=KnownModes)
+    calibrated: bool = False
     agreement: float = 1.0
     usual_agreement: float = 1.0
     unseen_s: float = 0.0

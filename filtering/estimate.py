@@ -18,6 +18,8 @@ from filtering.se3 import Poses
 
 _MARGIN = 1.01  # of a squared distance of hypotheses that are compared in full
 
+_GAUSSIAN = 1e6  # degrees of freedom from which on a Student t distribution is taken as Gaussian
+
 Status = Literal["converged", "ambiguous", "lost"]
 STATUSES: tuple[Status, ...] = get_args(Status)
 
@@ -36,18 +38,22 @@ class Innovation(NamedTuple):
     degrees_of_freedom: int
 
 
-def squared_radius(probability: float, degrees_of_freedom: float) -> float:
-    """Squared Mahalanobis distance within which a pose is with a probability: its six error components have a Student t
-    distribution, or a Gaussian one where the degrees of freedom are infinite.
+def squared_radius(
+    probability: float, degrees_of_freedom: float | Float64[np.ndarray, " n"]
+) -> Float64[np.ndarray, "*n"]:
+    """Squared Mahalanobis distances within which poses are with a probability, of one mode or of n.
+
+    The six components of the error have a Student t distribution; it is Gaussian where the degrees of freedom are
+    infinite.
 
     Raises:
         VaporTrackError: the probability is not between 0 and 1.
     """
     if not 0.0 < probability < 1.0:
-        raise VaporTrackError(f"a region of probability {probability}, expected one between 0 and 1")
-    if not np.isfinite(degrees_of_freedom):
-        return float(chdtri(6, 1.0 - probability))
-    return float(6.0 * fdtri(6, degrees_of_freedom, probability))
+        raise VaporTrackError(f"region of probability {probability}, expected one between 0 and 1")
+    nu = np.asarray(degrees_of_freedom, np.float64)
+    student = 6.0 * fdtri(6, np.minimum(nu, _GAUSSIAN), probability)
+    return np.where(nu < _GAUSSIAN, student, chdtri(6, 1.0 - probability))
 
 
 @dataclass(frozen=True)
@@ -81,7 +87,7 @@ class Mode:
         Raises:
             VaporTrackError: the probability is not between 0 and 1.
         """
-        return squared_radius(probability, self.degrees_of_freedom)
+        return float(squared_radius(probability, self.degrees_of_freedom))
 
     def contains(self, poses: Poses, probability: float) -> Bool[np.ndarray, "*n"]:
         """Which poses (any batch) lie in the mode's region of a probability, in all six dimensions.
@@ -185,11 +191,19 @@ class Estimate:
         return self.particles[which] @ Poses.exp((factor[which] @ draws)[..., 0])
 
 
-def describe_modes(belief: Hypotheses, noise: MeasurementNoise, config: ModeConfig) -> tuple[Mode, ...]:
+def describe_modes(
+    belief: Hypotheses, noise: MeasurementNoise, config: ModeConfig, *, calibrated: bool = False
+) -> tuple[Mode, ...]:
     """The modes of a belief, by falling weight; at least one.
 
     The heaviest hypothesis takes those in its reach, then the heaviest of the rest, and so on. Mean and covariance are
     over a mode's own hypotheses only, with the constant errors added.
+
+    Args:
+        belief: n hypotheses.
+        noise: Of the first camera.
+        config: Which hypotheses make one mode.
+        calibrated: Whether the images have Student t tails, see `PosePosterior.calibrated`.
     """
     weights = belief.weights
     least = min(config.min_weight, float(weights.max()))
@@ -207,11 +221,31 @@ def describe_modes(belief: Hypotheses, noise: MeasurementNoise, config: ModeConf
         weights[members], np.concatenate(offsets), belief.pose_covariance[members], starts
     )
     poses = belief.poses[members[starts]] @ Poses.exp(means)
+    nu = _degrees_of_freedom(covariances, noise) if calibrated else np.full(len(poses), np.inf)
     covariances = covariances + noise.constant_covariance(covariances)
-    modes = [Mode(poses[k], covariances[k], weight) for k, weight in enumerate(totals.tolist())]
+    modes = [
+        Mode(poses[k], covariances[k], weight, degrees_of_freedom=float(nu[k]))
+        for k, weight in enumerate(totals.tolist())
+    ]
     modes.sort(key=lambda mode: -mode.weight)
     kept = [mode for mode in modes if mode.weight >= least]
     return tuple((kept or modes[:1])[: config.max_modes])
+
+
+def _degrees_of_freedom(
+    covariances: Float64[np.ndarray, "k 6 6"], noise: MeasurementNoise
+) -> Float64[np.ndarray, " k"]:
+    """Of modes with these covariances (without constant errors): ν N², if they are worth N ≥ 1 ordinary images.
+
+    N is the information of a mode in that of one image, averaged over the axes. Errors of many images add up to a
+    Gaussian; N² fits draws from the filter's own model (`tests/filtering/test_regions.py`). Repeated images of one view
+    add to neither.
+    """
+    finest = noise.finest
+    variance_of_image = np.square(finest.typical_std)
+    information = np.linalg.inv(covariances)
+    images = np.einsum("kii,i->k", information, variance_of_image) / 6.0
+    return min(noise.degrees_of_freedom, finest.degrees_of_freedom) * np.square(np.maximum(images, 1.0))
 
 
 def _in_place_of_first(
@@ -238,7 +272,14 @@ def posterior_modes(posterior: PosePosterior) -> tuple[Mode, ...]:
     order = np.argsort(-posterior.weights, kind="stable")
     total = max(float(posterior.weights.sum()), 1e-300)
     verified = np.zeros(len(order), bool) if posterior.verified is None else posterior.verified
+    nu = np.where(verified, posterior.noise.finest.degrees_of_freedom, posterior.noise.degrees_of_freedom)
     return tuple(
-        Mode(posterior.means[k], posterior.covariances[k], float(posterior.weights[k]) / total, bool(verified[k]))
+        Mode(
+            posterior.means[k],
+            posterior.covariances[k],
+            float(posterior.weights[k]) / total,
+            bool(verified[k]),
+            degrees_of_freedom=float(nu[k]) if posterior.calibrated else np.inf,
+        )
         for k in order
     )

@@ -16,8 +16,12 @@ from filtering.se3 import Poses
 from filtering.unchecked import unchecked_replace
 
 
-def _none(dtype: type) -> np.ndarray:
-    return field(default_factory=lambda: np.zeros(0, dtype))
+def _no_numbers() -> Float64[np.ndarray, " 0"]:
+    return np.zeros(0)
+
+
+def _no_counts() -> Int64[np.ndarray, " 0"]:
+    return np.zeros(0, np.int64)
 
 
 @dataclass(frozen=True)
@@ -35,10 +39,10 @@ class KnownModes:
     """
 
     poses: Poses = field(default_factory=lambda: Poses.identity(0))
-    log_weights: Float64[np.ndarray, " k"] = _none(float)
-    identities: Int64[np.ndarray, " k"] = _none(int)
-    squared: Float64[np.ndarray, " k"] = _none(float)
-    images: Int64[np.ndarray, " k"] = _none(int)
+    log_weights: Float64[np.ndarray, " k"] = field(default_factory=_no_numbers)
+    identities: Int64[np.ndarray, " k"] = field(default_factory=_no_counts)
+    squared: Float64[np.ndarray, " k"] = field(default_factory=_no_numbers)
+    images: Int64[np.ndarray, " k"] = field(default_factory=_no_counts)
     best: int = -1
     next_identity: int = 0
 
@@ -81,9 +85,7 @@ class KnownModes:
         heaviest = self._heaviest(belief, noise, config)
         of_mode = np.where(heaviest >= 0, squared[heaviest], np.inf)
         near = np.isfinite(of_mode)
-        return unchecked_replace(
-            self, squared=self.squared + np.where(near, of_mode, 0.0), images=self.images + near
-        )
+        return unchecked_replace(self, squared=self.squared + np.where(near, of_mode, 0.0), images=self.images + near)
 
     def identify(
         self, modes: tuple[Mode, ...], belief: Hypotheses, noise: MeasurementNoise, config: ModeConfig
@@ -132,12 +134,10 @@ class KnownModes:
             log_weights = np.concatenate([log_weights, belief.log_weights[heaviest[kept]]])
         none = np.zeros(len(identities))
         return tuple(found), KnownModes(
-            poses, log_weights, identities, none, none.astype(int), self.best, next_identity
+            poses, log_weights, identities, none, none.astype(np.int64), self.best, next_identity
         )
 
-    def _heaviest(
-        self, belief: Hypotheses, noise: MeasurementNoise, config: ModeConfig
-    ) -> Int64[np.ndarray, " k"]:
+    def _heaviest(self, belief: Hypotheses, noise: MeasurementNoise, config: ModeConfig) -> Int64[np.ndarray, " k"]:
         """The heaviest hypothesis in the place of each, nearer to it than to another one; -1 where there is none."""
         metres_sq, turned = self.poses.squared_distances(belief.poses)
         reach_m = config.radius * max(noise.typical_std[:3])
@@ -148,9 +148,7 @@ class KnownModes:
         return np.where(own.any(axis=1), heaviest, -1)
 
 
-def _nearest(
-    apart: Float64[np.ndarray, "m k"], log_weights: Float64[np.ndarray, " k"]
-) -> Int64[np.ndarray, " m"]:
+def _nearest(apart: Float64[np.ndarray, "m k"], log_weights: Float64[np.ndarray, " k"]) -> Int64[np.ndarray, " m"]:
     """For each of m modes the known one that goes on in it, at most 1 apart; -1 for none."""
     known = np.full(len(apart), -1)
     for of in np.argsort(-log_weights, kind="stable").tolist():

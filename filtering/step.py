@@ -55,7 +55,7 @@ def step(belief: Belief, observation: Observation, config: LocalizerConfig) -> t
     if informative or novelty > 0.0:
         belief = reduce(belief, config)
     belief = follow_agreement(belief, used, views, config)
-    log_likelihood = sum(one.log_likelihood for one in used)
+    log_likelihood = sum((one.log_likelihood for one in used), 0.0)
     belief, estimate = describe(belief, views, novelty, config, log_likelihood=log_likelihood)
     if views:
         belief = unchecked_replace(belief, normalized_distance=0.0)
@@ -178,6 +178,7 @@ def measure(belief: Belief, view: View, config: LocalizerConfig) -> tuple[Belief
         hypotheses=hypotheses,
         unassigned=belief.unassigned / total,
         known=known,
+        calibrated=posterior.calibrated,
     )
     return belief, UsedView(posterior, camera, novelty, likelihood_power, float(np.log(total)), found.agreement)
 
@@ -268,7 +269,11 @@ def initialize(belief: Belief, views: Sequence[View], config: LocalizerConfig) -
         raise VaporTrackError("the first image has no place of any weight, expected at least one")
     agreement = 0.0 if provisional else 1.0
     new = unchecked_replace(
-        belief.forgotten(), agreement=agreement, usual_agreement=agreement, provisional=provisional
+        belief.forgotten(),
+        agreement=agreement,
+        usual_agreement=agreement,
+        provisional=provisional,
+        calibrated=first.posterior.calibrated,
     )
     camera = CameraMemory.first_seen(first, 0, unknown=0.0, adapts=config.adapt_errors)
     new = new.with_camera(first.camera, camera)
@@ -313,9 +318,8 @@ def describe(
     Modes and status are in units of the first camera's noise.
     """
     hypotheses, noise = hypotheses_of(belief), noise_of(belief)
-    modes, known = belief.known.identify(
-        describe_modes(hypotheses, noise, config.modes), hypotheses, noise, config.modes
-    )
+    found = describe_modes(hypotheses, noise, config.modes, calibrated=belief.calibrated)
+    modes, known = belief.known.identify(found, hypotheses, noise, config.modes)
     modes = tuple(
         unchecked_replace(mode, weight=(1.0 - belief.unassigned) * mode.weight)
         for mode in _ordered(modes, known.best, config)

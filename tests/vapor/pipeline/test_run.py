@@ -38,7 +38,7 @@ TRAJECTORIES = {
 WITH_TRUTH = {"ground_truth.tum"}
 
 FILES = TRAJECTORIES | {
-    "estimate.mcap", "config.json", "report.html", "report.json", "manifest.json", "status.csv",
+    "estimate.mcap", "config.json", "report.html", "report.json", "manifest.json", "modes.csv", "status.csv",
 }  # fmt: skip
 
 METRICS = {"median_translation_m", "median_rotation_deg", "ape_rmse_m", "recall", "position_recall", "worse_than"}
@@ -140,7 +140,16 @@ def test_every_trajectory_has_a_pose_for_every_image(finished, walk_of_25):
 def test_the_status_says_of_every_pose_what_is_to_be_thought_of_it(finished):
     with (finished.directory / "status.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert list(rows[0]) == ["time", "status", "std_m", "std_deg", "smoothed"]
+    assert list(rows[0]) == [
+        "time",
+        "status",
+        "std_m",
+        "std_deg",
+        "unassigned",
+        "log_likelihood",
+        "innovation",
+        "smoothed",
+    ]
     lines = (finished.directory / "smoothed.tum").read_text().splitlines()
     assert [row["time"] for row in rows] == [line.split()[0] for line in lines]
     shares = Counter(row["status"] for row in rows)
