@@ -30,11 +30,9 @@ def main() -> None:
     model = vapor.VaporObservationModel.from_checkpoint(options.model, camera=robot.camera)
     localizer = vapor.ParticleLocalizer(model, rng=np.random.default_rng(0))
     odom_from_camera = vapor.Poses.identity()  # a robot's odometry has it; here motions are composed
-    sent, before_ns = 0, None
+    sent = 0
     for time_ns, image, motion in images_of(robot):
-        elapsed_s = 0.0 if before_ns is None else (time_ns - before_ns) * 1e-9
-        estimate = localizer.step(image, motion, elapsed_s=elapsed_s)
-        before_ns = time_ns
+        estimate = localizer.step(image, motion, time_ns=time_ns)
         if motion is not None:
             odom_from_camera = odom_from_camera @ motion.previous_from_current
         if estimate.status == "converged":  # otherwise send nothing

@@ -36,8 +36,8 @@ class GapConfig:
     @property
     def velocity(self) -> OdometryBias:
         """The unknown velocity, as the drift of odometry that reports no motion."""
-        drift = (*(self.speed_m_per_s,) * 3, *(self.turn_rad_per_s,) * 3)
-        return OdometryBias(scale=0.0, drift=drift, time_s=self.time_s)
+        v, w = self.speed_m_per_s, self.turn_rad_per_s
+        return OdometryBias(scale=0.0, drift=(v, v, v, w, w, w), time_s=self.time_s)
 
 
 @dataclass(frozen=True)
@@ -52,8 +52,8 @@ class LocalizerConfig:
     """Probability that the camera was carried off unnoticed, for every new view that fits the belief: so much of it
     becomes unassigned, from which hypotheses are born."""
     max_birth_rate: float = 0.1
-    """The same for a view that does not fit at all; in between, in equal ratios. Both 0: nothing is ever unassigned, and
-    nothing is born after the first image, where `births` is "rate"."""
+    """The same for a view that does not fit at all; in between, in equal ratios. Both 0: nothing is ever unassigned,
+    nor born after the first image, where `births` is "rate"."""
     births: Births = "rate"
     """Mass becomes unassigned at those rates, or as in augmented Monte Carlo localization, while images agree with the
     belief less than usual."""
@@ -89,10 +89,14 @@ class LocalizerConfig:
     """Another mode becomes the best one when its weight exceeds that of the best by this factor."""
     odometry_bias: OdometryBias = field(default_factory=lambda: OdometryBias(relative_drift=0.6))
     """Scale error and drift of the odometry."""
+    odometry_failures_per_s: float = 0.02
+    """Rate at which odometry goes wrong: wheels slip or are stuck, a scale triples, a pose jumps."""
     gap: GapConfig = field(default_factory=GapConfig)
-    """Motion where odometry is missing."""
+    """Motion where odometry is missing, or wrong."""
     modes: ModeConfig = field(default_factory=ModeConfig)
     """Which hypotheses are reported as one mode."""
+    late_window_s: float = 0.5
+    """Images that are late by at most so much are fused at their own times, seconds; of steps with times."""
 
     def __post_init__(self) -> None:
         require_within(
@@ -109,9 +113,11 @@ class LocalizerConfig:
             lost_agreement=(0.0, 1.0),
             lost_unassigned=(0.0, 1.0),
             outlier_places=(1.0, 1e9),
+            odometry_failures_per_s=(0.0, 1e3),
             agreement_s=(1e-6, 1e6),
             agreement_images=(1, 10**6),
             switch_ratio=(1.0, 1e9),
+            late_window_s=(0.0, 60.0),
         )
         for name, known in (("births", Births), ("resampling", Resampling)):
             if getattr(self, name) not in get_args(known):

@@ -87,8 +87,10 @@ class KalmanLocalizer:
         """Follow one image of the one camera that is localized; `update` with its arguments in one.
 
         Raises:
-            VaporTrackError: as `update`, or there are other views.
+            VaporTrackError: as `update`, there are other views, or it has a time: late images are not fused.
         """
+        if observation.time_ns is not None:
+            raise VaporTrackError(f"time_ns is {observation.time_ns}, expected None: this baseline keeps no history")
         views, odom, elapsed_s = observation.views, observation.odometry, observation.elapsed_s
         if len(views) != 1 or not views[0].reference_from_camera.is_identity:
             raise VaporTrackError(f"{len(views)} views, expected one, without extrinsics: this baseline has one camera")

@@ -13,6 +13,7 @@ from filtering.belief import Belief
 from filtering.config import LocalizerConfig
 from filtering.errors import VaporTrackError
 from filtering.estimate import Estimate
+from filtering.history import History, fuse
 from filtering.hypotheses import without_correlation
 from filtering.measurement_noise import MeasurementNoise
 from filtering.motion import Odometry
@@ -42,23 +43,27 @@ class ParticleLocalizer:
         self.config = config or LocalizerConfig()
         self._model_rng, filter_rng = rng.spawn(2)
         self._last_image: np.ndarray | None = None
-        self.belief = Belief(filter_rng)
+        self.belief, self._history = Belief(filter_rng), History()
 
-    def step(self, image: np.ndarray, odom: Odometry | None, *, elapsed_s: float = 1.0) -> Estimate:
+    def step(
+        self, image: np.ndarray, odom: Odometry | None, *, elapsed_s: float = 1.0, time_ns: int | None = None
+    ) -> Estimate:
         """Localize one image.
 
         Args:
             image: RGB, uint8, (H, W, 3).
             odom: Motion of the camera since the previous step; not used on the first one. None on a later step means
-                that the motion is unknown: see `GapConfig`.
-            elapsed_s: Seconds since the previous step; used where `odom` is None.
+                that the motion is unknown: see `GapConfig`. Of a late image as in `update`.
+            elapsed_s: Seconds since the previous step; used where `odom` is None, and there is no time.
+            time_ns: When the image was taken, integer nanoseconds; see `update`. The model draws in the order in which
+                images come.
 
         Raises:
             VaporTrackError: the image is refused by the model, or as `update`. The localizer is then as it was before,
                 so the step can be repeated with good input.
         """
         posterior, model_rng = self._observed(image)
-        estimate = self.update(posterior, odom, elapsed_s=elapsed_s)
+        estimate = self.update(posterior, odom, elapsed_s=elapsed_s, time_ns=time_ns)
         self._model_rng, self._last_image = model_rng, np.array(image)
         return estimate
 
@@ -86,22 +91,35 @@ class ParticleLocalizer:
         return posterior.without_places() if frozen else posterior, rng
 
     def update(
-        self, seen: PosePosterior | Sequence[View], odom: Odometry | None, *, elapsed_s: float = 1.0
+        self,
+        seen: PosePosterior | Sequence[View],
+        odom: Odometry | None,
+        *,
+        elapsed_s: float = 1.0,
+        time_ns: int | None = None,
     ) -> Estimate:
         """Localize one moment by a posterior: the second half of `step`.
+
+        With times, moments may come in any order: one that is late by at most `LocalizerConfig.late_window_s` is fused
+        at its own time, and the estimate is still that of the latest time. The views of several calls of one time are
+        views of one moment.
 
         Args:
             seen: The posterior of the camera's image, or views of several cameras at one moment.
             odom: Motion since the previous step of the camera, or of the frame that the extrinsics of several lead to.
-            elapsed_s: Seconds since the previous step; used where `odom` is None.
+                Of a late moment: since the one before it in time; None splits the motion that is known. Not used at a
+                time that had a step.
+            elapsed_s: Seconds since the previous step; used where `odom` is None, and there is no time.
+            time_ns: When the views were taken, integer nanoseconds, in all steps or in none.
 
         Raises:
             VaporTrackError: the odometry is invalid (`require_odometry`), the elapsed time is negative, two views are
-                of one camera, or no posterior has any place at a first step. The localizer is then as it was before.
+                of one camera, no posterior has any place at a first step, or the time is earlier than the window or the
+                first step. The localizer is then as it was before.
         """
         if isinstance(seen, PosePosterior):
-            return self.advance(Observation.of_posterior(seen, odom, elapsed_s))
-        return self.advance(Observation(tuple(seen), odom, elapsed_s))
+            return self.advance(Observation.of_posterior(seen, odom, elapsed_s, time_ns))
+        return self.advance(Observation(tuple(seen), odom, elapsed_s, time_ns))
 
     def advance(self, observation: Observation) -> Estimate:
         """Localize one moment by all that was observed; `update` with its arguments in one.
@@ -109,37 +127,43 @@ class ParticleLocalizer:
         Raises:
             VaporTrackError: as `update`; the localizer is then as it was before.
         """
-        self.belief, estimate = step(self.belief, observation, self.config)
+        self._history, self.belief, estimate = fuse(self._history, self.belief, observation, self.config)
         return estimate
 
-    def predict(self, odom: Odometry | None, *, elapsed_s: float = 0.0) -> Estimate:
+    def predict(self, odom: Odometry | None, *, elapsed_s: float = 0.0, time_ns: int | None = None) -> Estimate:
         """Move the belief without an image.
 
         Args:
             odom: Motion since the previous step; None where it is unknown, see `GapConfig`.
-            elapsed_s: Seconds since the previous step; used where `odom` is None.
+            elapsed_s: Seconds since the previous step; used where `odom` is None, and there is no time.
+            time_ns: When the motion ended, integer nanoseconds; as in `update`.
 
         Raises:
-            VaporTrackError: there is no belief yet, or the odometry is invalid (`require_odometry`).
+            VaporTrackError: there is no belief yet, or as `update`.
         """
-        self.belief, estimate = self._later(odom, elapsed_s)
-        return estimate
+        self._require_belief()
+        return self.advance(Observation((), odom, elapsed_s, time_ns))
 
     def predicted(self, odom: Odometry | None, *, elapsed_s: float = 0.0) -> Estimate:
-        """The estimate that `predict` would give; the belief stays."""
-        return self._later(odom, elapsed_s)[1]
+        """The estimate that `predict` would give after the latest step; the belief stays."""
+        self._require_belief()
+        return step(self.belief, Observation((), odom, elapsed_s), self.config)[1]
 
-    def _later(self, odom: Odometry | None, elapsed_s: float) -> tuple[Belief, Estimate]:
+    def _require_belief(self) -> None:
         if self.belief.hypotheses is None:
             raise VaporTrackError("nothing to predict from: no image was localized yet")
-        return step(self.belief, Observation((), odom, elapsed_s), self.config)
 
     def forget(self) -> None:
-        """Forget where the camera is: the next informative image is a first one."""
-        self.belief, self._last_image = self.belief.forgotten(), None
+        """Forget where the camera is: the next informative image is a first one, of any time."""
+        self.belief, self._last_image, self._history = self.belief.forgotten(), None, History()
 
     def start_at(
-        self, world_from_camera: Poses, covariance: Float64[np.ndarray, "6 6"], noise: MeasurementNoise
+        self,
+        world_from_camera: Poses,
+        covariance: Float64[np.ndarray, "6 6"],
+        noise: MeasurementNoise,
+        *,
+        time_ns: int | None = None,
     ) -> Estimate:
         """Start at a stated pose.
 
@@ -147,16 +171,19 @@ class ParticleLocalizer:
             world_from_camera: One pose.
             covariance: Of ξ = (v, ω), metres and radians, in the tangent at the pose; positive definite.
             noise: Noise of the images to come.
+            time_ns: When the camera is there, integer nanoseconds, before which no image is taken; None for any.
 
         Raises:
-            VaporTrackError: the pose or its covariance is invalid. The localizer is then as it was before.
+            VaporTrackError: the pose, its covariance or the time is invalid. The localizer is then as it was before.
         """
         pose = Poses.stack([world_from_camera])
         stated = PosePosterior(pose, np.asarray(covariance, np.float64)[None], np.ones(1), noise, pose)
-        begun = initialize(self.belief.forgotten(), Observation.of_posterior(stated, None).views, self.config)
+        begun = initialize(
+            self.belief.forgotten(), Observation.of_posterior(stated, None, time_ns=time_ns).views, self.config
+        )
         hypotheses = hypotheses_of(begun)
         # The error of the stated pose is not correlated with those of the images.
         apart = replace(hypotheses, covariance=without_correlation(hypotheses.covariance, 0))
         belief, estimate = describe(replace(begun, hypotheses=apart, unassigned=0.0), [], 0.0, self.config)
-        self.belief, self._last_image = belief, None
+        self.belief, self._last_image, self._history = belief, None, History.beginning_at(time_ns)
         return estimate

@@ -84,6 +84,22 @@ class Odometry:
             self.duration_s + later.duration_s,
         )
 
+    def part(self, fraction: float) -> Odometry:
+        """The first part of this motion, a fraction of its duration, as if twist and noise were constant along it."""
+        first = fraction * self.tangent
+        covariance = accumulated(first, fraction * _spread_noise(self.tangent, self.covariance))
+        return Odometry(Poses.exp(first), covariance, fraction * self.duration_s)
+
+    def after(self, first: Odometry) -> Odometry:
+        """The rest of this motion after its first part: `first.then(rest)` is this motion.
+
+        Where the first part is less certain than the whole, the covariance of the rest is the nearest one.
+        """
+        rest = first.previous_from_current.inverse() @ self.previous_from_current
+        carry = rest.inverse().adjoint()
+        covariance = _nearest_semidefinite(self.covariance - carry @ first.covariance @ carry.T)
+        return Odometry(rest, covariance, max(self.duration_s - first.duration_s, 0.0))
+
 
 def require_odometry(odometry: Odometry) -> None:
     """Check that odometry is one rigid motion with a covariance.
@@ -145,6 +161,22 @@ def accumulated(
     weighted = carry * _NODE_WEIGHTS[:, None, None]
     covariance = (weighted @ noise[..., None, :, :] @ np.swapaxes(carry, -1, -2)).sum(axis=-3)
     return (covariance + np.swapaxes(covariance, -1, -2)) / 2
+
+
+def _spread_noise(
+    tangent: Float64[np.ndarray, " 6"], covariance: Float64[np.ndarray, "6 6"]
+) -> Float64[np.ndarray, "6 6"]:
+    """The noise that `accumulated` makes this covariance of."""
+    carry = Poses.exp(-_REMAINING[:, None] * tangent).adjoint()
+    accumulates = np.einsum("n,nij,nkl->ikjl", _NODE_WEIGHTS, carry, carry).reshape(36, 36)
+    noise = np.linalg.lstsq(accumulates, covariance.ravel(), rcond=1e-9)[0].reshape(6, 6)
+    return _nearest_semidefinite(noise)
+
+
+def _nearest_semidefinite(matrix: Float64[np.ndarray, "6 6"]) -> Float64[np.ndarray, "6 6"]:
+    symmetric = (matrix + matrix.T) / 2
+    eigenvalues, eigenvectors = np.linalg.eigh(symmetric)
+    return symmetric if eigenvalues[0] >= 0.0 else (eigenvectors * np.clip(eigenvalues, 0.0, None)) @ eigenvectors.T
 
 
 @runtime_checkable

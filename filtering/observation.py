@@ -6,12 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from filtering.errors import VaporTrackError
+from filtering.errors import VaporTrackError, quoted
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 
 _ONLY_CAMERA = "camera"
+_MOST_NS = 1 << 63
 
 
 @dataclass(frozen=True)
@@ -28,6 +29,15 @@ class View:
     reference_from_camera: Poses
     camera: str
 
+    @property
+    def rank(self) -> tuple[float | bytes, ...]:
+        """A key for sorting: the most exact first, and nothing that depends on how cameras are called or listed."""
+        posterior, mount = self.posterior, self.reference_from_camera
+        covariances, weights = posterior.covariances, posterior.weights
+        volume = float(np.linalg.slogdet(covariances[np.argmax(weights)])[1]) if len(weights) else np.inf
+        poses = (posterior.means.rotation, posterior.means.translation, mount.rotation, mount.translation)
+        return (volume, posterior.ood_score, *(each.tobytes() for each in (*poses, covariances, weights)))
+
 
 @dataclass(frozen=True)
 class Observation:
@@ -37,15 +47,18 @@ class Observation:
         views: One of each camera that took an image; empty without any.
         odometry: Motion of the frame that is localized since the previous observation, not used on the first one; None
             where it is unknown.
-        elapsed_s: Seconds since the previous observation; used where `odometry` is None.
+        elapsed_s: Seconds since the previous observation; used where `odometry` is None, and there is no time.
+        time_ns: When it was observed, integer nanoseconds, 0 or more; None where the order of steps is that of time.
 
     Raises:
-        VaporTrackError: two views are of one camera, or the elapsed time is negative or infinite.
+        VaporTrackError: two views are of one camera, the elapsed time is negative or infinite, or the time is not an
+            integer of 0 or more.
     """
 
     views: tuple[View, ...] = ()
     odometry: Odometry | None = None
     elapsed_s: float = 1.0
+    time_ns: int | None = None
 
     def __post_init__(self) -> None:
         names = [view.camera for view in self.views]
@@ -53,13 +66,27 @@ class Observation:
             raise VaporTrackError(f"views of cameras {', '.join(names)}, expected each once")
         if not 0.0 <= self.elapsed_s < np.inf:
             raise VaporTrackError(f"{self.elapsed_s} s since the previous step, expected a finite time of 0 s or more")
+        if self.time_ns is not None:
+            _require_time(self.time_ns)
 
     @staticmethod
-    def of_posterior(posterior: PosePosterior, odometry: Odometry | None, elapsed_s: float = 1.0) -> Observation:
+    def of_posterior(
+        posterior: PosePosterior, odometry: Odometry | None, elapsed_s: float = 1.0, time_ns: int | None = None
+    ) -> Observation:
         """One posterior, of the camera that is localized."""
-        return Observation((View(posterior, Poses.identity(), _ONLY_CAMERA),), odometry, elapsed_s)
+        return Observation((View(posterior, Poses.identity(), _ONLY_CAMERA),), odometry, elapsed_s, time_ns)
+
+    @property
+    def ranked_views(self) -> tuple[View, ...]:
+        """The views in an order that does not depend on the one in which they are listed, see `View.rank`."""
+        return self.views if len(self.views) < 2 else tuple(sorted(self.views, key=lambda view: view.rank))
 
     @property
     def posterior(self) -> PosePosterior:
         """Of the first view, as its camera sees it; uninformative without any."""
         return self.views[0].posterior if self.views else PosePosterior.uninformative()
+
+
+def _require_time(time_ns: object) -> None:
+    if not isinstance(time_ns, int | np.integer) or isinstance(time_ns, bool) or not 0 <= time_ns < _MOST_NS:
+        raise VaporTrackError(f"time_ns is {quoted(time_ns)}, expected integer nanoseconds from 0 to 2⁶³")

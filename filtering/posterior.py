@@ -174,8 +174,8 @@ class PosePosterior:
     def possible(self) -> Float64[np.ndarray, " k"]:
         """How possible each place is, in [0, 1], see `MeasurementNoise.possible`.
 
-        Weights of verified places relative to others were calibrated on held-out images: beside verified places, lighter
-        ones are possible in proportion to their weight.
+        Weights of verified places relative to others were calibrated on held-out images: beside verified places,
+        lighter ones are possible in proportion to their weight.
         """
         network, verified = self.sources
         if not len(verified):

@@ -7,13 +7,18 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float64
 
-from filtering.hypotheses import BIAS, DRIFT, POSE, Hypotheses, blocks
+from filtering.hypotheses import BIAS, DRIFT, POSE, Hypotheses, blocks, concatenate, with_drift
 from filtering.moments import settle
 from filtering.motion import Odometry, OdometryBias
 from filtering.se3 import Poses
+from filtering.unchecked import unchecked_replace
 
 _WIDEST_RAD = 2.0  # standard deviation: all directions
 _LONGEST_S = 1e10  # three centuries
+_HEAVY = 0.3  # of a belief: hypotheses for which odometry may go wrong
+_SLIP = 0.2  # of the unknown velocity: wheels that slip err by some of it
+_MOST_FAILED = 0.1  # of a hypothesis, in one motion
+_FARTHEST = 1e6  # standard deviations of the drift
 
 
 def motion_of_state(
@@ -33,10 +38,7 @@ def motion_of_state(
     times = duration_s / odometry_bias.time_s
     keeps = np.exp(-times)
     lasting = -np.expm1(-times) / max(times, 1e-300) if times > 0.0 else 1.0
-    if odometry_bias.drift is None:
-        drift = odometry_bias.relative_drift * np.sqrt(np.diag(odometry.covariance) * duration_s)
-    else:
-        drift = np.asarray(odometry_bias.drift) * duration_s
+    drift = drift_of(odometry, odometry_bias)
     errs = np.zeros((6, 7))  # of the increment, by scale error and drift; a positive scale error means too long ones
     errs[:3, 0] = -odometry.tangent[:3]
     errs[:, 1:] = -np.diag(lasting * drift)
@@ -90,6 +92,42 @@ def predict(
     rest = np.arange(6, len(noise))
     covariance[:, rest, rest] += np.diag(noise)[6:]
     return Hypotheses(poses.orthonormal(), hypotheses.mean * kept, covariance, hypotheses.log_weights)
+
+
+def with_failures(
+    hypotheses: Hypotheses, odometry: Odometry, odometry_bias: OdometryBias, velocity: OdometryBias, rate_per_s: float
+) -> Hypotheses:
+    """The same, and for each heavy one another with a small part of its weight: odometry goes wrong from here on.
+
+    The drift of these is the unknown velocity of the camera less what odometry reports.
+
+    Args:
+        hypotheses: Before the motion.
+        odometry: The motion.
+        odometry_bias: Its bias.
+        velocity: `GapConfig.velocity`.
+        rate_per_s: Rate at which odometry goes wrong.
+    """
+    duration_s = odometry.duration_s
+    heavy = np.flatnonzero(hypotheses.log_weights > np.log(_HEAVY))
+    unit = drift_of(odometry, odometry_bias)
+    if rate_per_s * duration_s <= 0.0 or not len(heavy) or not unit.all():
+        return hypotheses
+    wrong = np.hypot(_SLIP * np.asarray(velocity.drift) * duration_s, odometry.tangent)
+    failed = with_drift(hypotheses[heavy], np.zeros(6), np.diag(np.square(np.minimum(wrong / unit, _FARTHEST))))
+    part = -np.expm1(-min(rate_per_s * duration_s, _MOST_FAILED))
+    log_weights = hypotheses.log_weights.copy()
+    log_weights[heavy] += np.log1p(-part)
+    failed = failed.reweighted(np.full(len(heavy), np.log(part)))
+    return concatenate([unchecked_replace(hypotheses, log_weights=log_weights), failed])
+
+
+def drift_of(odometry: Odometry, odometry_bias: OdometryBias) -> Float64[np.ndarray, " 6"]:
+    """Standard deviation of the drift's share in an increment, each axis, metres and radians."""
+    duration_s = min(odometry.duration_s, _LONGEST_S)
+    if odometry_bias.drift is None:
+        return odometry_bias.relative_drift * np.sqrt(np.diag(odometry.covariance) * duration_s)
+    return np.asarray(odometry_bias.drift) * duration_s
 
 
 def across_gap(

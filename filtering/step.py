@@ -24,7 +24,7 @@ from filtering.mixture_reduction import reduce_mixture
 from filtering.motion import Odometry, OdometryBias, require_odometry
 from filtering.observation import Observation, View
 from filtering.posterior import PosePosterior
-from filtering.prediction import across_gap
+from filtering.prediction import across_gap, with_failures
 from filtering.prediction import predict as predict_hypotheses
 from filtering.unchecked import unchecked_replace
 
@@ -38,9 +38,9 @@ def step(belief: Belief, observation: Observation, config: LocalizerConfig) -> t
         VaporTrackError: the odometry is invalid (`require_odometry`), which a first step does not use, or no view has
             any place at a first step.
     """
-    views = observation.views
-    belief = predict(belief, observation.odometry, observation.elapsed_s, config)
+    views = observation.ranked_views
     informative = [view for view in views if not view.posterior.is_uninformative]
+    belief = predict(belief, observation.odometry, observation.elapsed_s, config, sees=bool(informative))
     novelty = 0.0
     if needs_initialization(belief, views):
         belief = initialize(belief, views, config)  # from the first of these views, all of which is new
@@ -62,8 +62,10 @@ def step(belief: Belief, observation: Observation, config: LocalizerConfig) -> t
     return belief, estimate
 
 
-def predict(belief: Belief, odometry: Odometry | None, elapsed_s: float, config: LocalizerConfig) -> Belief:
-    """Move the belief by odometry, or across a gap of `elapsed_s` seconds without any."""
+def predict(
+    belief: Belief, odometry: Odometry | None, elapsed_s: float, config: LocalizerConfig, *, sees: bool
+) -> Belief:
+    """Move the belief by odometry, or across a gap of `elapsed_s` seconds without any; `sees`: to an image."""
     if belief.hypotheses is None:
         return belief
     if odometry is None:
@@ -73,6 +75,9 @@ def predict(belief: Belief, odometry: Odometry | None, elapsed_s: float, config:
     hypotheses, distances = belief.hypotheses, _by_source(after)
     if belief.drift is not None:  # a gap has ended
         hypotheses = with_drift(hypotheses, *belief.drift)
+    if sees:  # without images a failure would not show
+        failures_per_s = config.odometry_failures_per_s
+        hypotheses = with_failures(hypotheses, odometry, config.odometry_bias, config.gap.velocity, failures_per_s)
     return unchecked_replace(
         belief,
         hypotheses=predict_hypotheses(hypotheses, odometry, config.odometry_bias, distances),

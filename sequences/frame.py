@@ -69,8 +69,8 @@ class Frame:
     Attributes:
         time_ns: Header stamp of the image, integer nanoseconds.
         image: RGB, uint8, undistorted; empty where there is none.
-        odometry: Motion of the camera since the previous frame that was yielded; None for the first frame, and where
-            no odometry covers it.
+        odometry: Motion of the camera since the frame before it in time that was yielded; None for the first frame,
+            and where no odometry covers it.
         world_from_camera: True pose, one pose; None where unknown.
         camera: Intrinsics of that image, a pinhole camera's; None where unknown.
         sequence: Which sequence of its data set it is from, counted from 0, where a data set has several.

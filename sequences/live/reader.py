@@ -137,14 +137,17 @@ class LiveReader:
         readings: Number of readings so far.
     """
 
-    def __init__(self, heard: TopicBuffer, options: ReadingOptions) -> None:
+    def __init__(self, heard: TopicBuffer, options: ReadingOptions, *, late_window_s: float = 0.0) -> None:
         """Find topics, intrinsics and extrinsics in the messages so far.
+
+        An image that is older than the latest frame by at most `late_window_s` still becomes a frame.
 
         Raises:
             NotFoundError: something is not there yet.
             SequenceError: something cannot be used, or there is a choice to make.
         """
         self.path: Path = heard.path
+        self._late_ns = round(late_window_s * 1e9)
         self.heard = heard
         shared = {field.name: getattr(options, field.name) for field in fields(ReadingOptions)}
         image = choose(heard, "image", IMAGE_TYPES, options.image_topic, required=True)
@@ -169,7 +172,9 @@ class LiveReader:
     def _begin(self) -> FramePairing:
         self.readings += 1
         self._fed: set[str] = set()  # topics that this reading has messages of
-        return FramePairing(self.roles, self.camera, 0, most_waiting=_MOST_WAITING, over_gaps=False)
+        return FramePairing(
+            self.roles, self.camera, 0, most_waiting=_MOST_WAITING, over_gaps=False, late_ns=self._late_ns
+        )
 
     @property
     def base_from_camera(self) -> Poses:
@@ -260,7 +265,10 @@ class LiveReader:
         return max((sample.time_ns for sample in self._tree.samples(message)[0]), default=None)
 
     def newest_frame(self) -> Frame | None:
-        """The newest image that odometry has reached and that was not returned before; None where there is none."""
+        """The newest image that odometry has reached and that was not returned before; None where there is none.
+
+        It may be older than the last frame; its odometry then leads from the frame before it in time.
+        """
         while len(self._arrived_ns) > 2 * _MOST_WAITING:
             del self._arrived_ns[next(iter(self._arrived_ns))]
         return self._pairing.newest_frame()
@@ -271,7 +279,7 @@ class LiveReader:
 
     @property
     def frame_ns(self) -> int | None:
-        """Stamp at which the next motion begins: of the last frame, or a later one given to `settle`."""
+        """Stamp at which the next motion begins: the latest of a frame, or a later one given to `settle`."""
         return self._pairing.previous_ns
 
     @property
@@ -300,11 +308,13 @@ def open_live(
     *,
     admit: Callable[[Any], RawMessage | None],
     waiting: Callable[[str], None],
+    late_window_s: float = 0.0,
 ) -> LiveReader:
     """Wait until everything that a reading needs is there; returns its reader, with all messages so far taken.
 
     `events` receives the messages of the system, and other events. `admit` returns the message of an event to keep, or
     None; it may raise to end the wait. `waiting` is called with the missing thing, at first and every five seconds.
+    `late_window_s` is as of `LiveReader`.
     Raises SequenceError where something cannot be used, or there is a choice to make.
     """
     heard = TopicBuffer(transport, events, options=options)
@@ -315,7 +325,7 @@ def open_live(
         problem = None  # not known before topics have settled
         if time.monotonic() - changed_s >= _SETTLED_S:
             try:
-                reader = LiveReader(heard, options)
+                reader = LiveReader(heard, options, late_window_s=late_window_s)
             except NotFoundError as error:
                 problem = str(error).removeprefix(f"{heard.path}: ")
             else:

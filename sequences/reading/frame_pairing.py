@@ -6,7 +6,8 @@ Of a recording, each topic beside the images is read as far as an image needs it
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable, Iterable, Iterator
+from bisect import bisect_left, bisect_right
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 from filtering.motion import Odometry
@@ -49,11 +50,10 @@ class RequestedSegment:
 
 
 class FramePairing:
-    """Messages in, in the order of a recording; frames out, in the order of their stamps.
+    """Messages in, in the order of a recording; frames out, in the order of their stamps but for late ones.
 
     Attributes:
         reaches: Whether odometry and true poses have come as far as a stamp; `MotionStreams` reads on first.
-        previous_ns: Stamp of the last frame, or a later one given to `settle`; None before any.
         frames_span_ns: Stamps of the first and the last frame; None before any.
     """
 
@@ -67,6 +67,7 @@ class FramePairing:
         most_waiting: int = _MOST_WAITING,
         lateness_ns: int = 0,
         over_gaps: bool = True,
+        late_ns: int = 0,
     ) -> None:
         """Set up a reading that took no message yet.
 
@@ -78,8 +79,9 @@ class FramePairing:
             most_waiting: Images held, still encoded, until odometry and true poses reach them.
             lateness_ns: Images are held until one so much later has come, to order them by their stamps.
             over_gaps: Whether odometry leads over times without messages.
+            late_ns: An image that is older than the latest frame, by at most so much, still becomes a frame.
         """
-        self._most_waiting, self._lateness_ns = most_waiting, lateness_ns
+        self._most_waiting, self._lateness_ns, self._late_ns = most_waiting, lateness_ns, late_ns
         self.skipped = SkipCounter(num_images)
         self.segment = RequestedSegment(begin_ns, roles.options.start_s, roles.options.duration_s)
         self.motion = MotionOfCamera(roles, self.skipped, over_gaps=over_gaps)
@@ -90,8 +92,9 @@ class FramePairing:
         # A heap: order, number of images before, stamp, and message, None for a lost one.
         self._waiting: list[tuple[int, int, int, Any]] = []
         self._images_ns: tuple[int, int] | None = None  # earliest and latest stamp
-        self.previous_ns: int | None = None
-        self._previous_covered = False  # by odometry
+        self._overtaken: list[Picture] = []  # by a newer frame, in the order of stamps
+        # Stamps, and whether odometry covers them, in order: those that a late image may follow, and the latest.
+        self._frames: list[tuple[int, bool]] = []
         self.frames_span_ns: tuple[int, int] | None = None
 
     def take(self, raw: RawMessage, message: Any) -> None:
@@ -153,14 +156,30 @@ class FramePairing:
                 yield frame
 
     def newest_frame(self) -> Frame | None:
-        """The frame of the newest image that needs to wait no longer and can be used; those before it are skipped."""
+        """The frame of the newest image that needs to wait no longer and can be used.
+
+        Older ones are given where there is no newer one, and skipped where they are too late.
+        """
+        ready = sorted([*self._overtaken, *self._ready_pictures()], key=lambda picture: picture.time_ns)
         frame: Frame | None = None
-        for picture in reversed(list(self._ready_pictures())):
-            if frame is not None:
-                self._counts.skipped[OVERTAKEN] += 1
-            else:
-                frame = self._frame_asked_for(picture)
+        while ready and frame is None:
+            frame = self._frame_asked_for(ready.pop())
+        after = bisect_left(ready, self._earliest_ns, key=lambda picture: picture.time_ns)
+        self._overtaken = ready[max(after, len(ready) - self._most_waiting) :]
+        self._counts.skipped[OVERTAKEN] += len(ready) - len(self._overtaken)
         return frame
+
+    @property
+    def previous_ns(self) -> int | None:
+        """Latest stamp of a frame, or a later one given to `settle`; None before any."""
+        return self._frames[-1][0] if self._frames else None
+
+    @property
+    def _earliest_ns(self) -> int:
+        """Stamp from which on an image becomes a frame."""
+        if not self._frames:
+            return -(1 << 63)
+        return max(self._frames[0][0] + 1, self._frames[-1][0] - self._late_ns)
 
     def drop_overtaken(self) -> None:
         """Skip the oldest of the images that wait where there are too many: newer ones are asked for, but not yet."""
@@ -189,7 +208,7 @@ class FramePairing:
     @property
     def num_waiting(self) -> int:
         """How many images wait."""
-        return len(self._waiting)
+        return len(self._waiting) + len(self._overtaken)
 
     def _is_due(self, time_ns: int, at_end: bool) -> bool:
         """Whether no earlier image is to be expected, and odometry and true poses have come as far."""
@@ -207,10 +226,12 @@ class FramePairing:
 
     def _frame(self, picture: Picture) -> Frame | None:
         """The frame of an image; None, and a count of why, where it is skipped."""
-        time_ns, previous_ns = picture.time_ns, self.previous_ns
+        time_ns = picture.time_ns
         if picture.skipped:
             return self.skipped.image(picture.skipped, time_ns)
-        if previous_ns is not None and time_ns <= previous_ns:
+        at = bisect_left(self._frames, (time_ns, False))
+        is_known = self._frames[at : at + 1] and self._frames[at][0] == time_ns
+        if is_known or time_ns < self._earliest_ns:
             return self.skipped.image("time stamp not increasing", time_ns)
         covered = self.motion.covers(time_ns)
         if self._roles.odometry_required and not covered:
@@ -219,29 +240,32 @@ class FramePairing:
             image = picture.decode()
         except SequenceError as error:
             return self.skipped.image(why_skipped(error), time_ns, str(error))
-        odometry = self._odometry_until(time_ns) if covered else None
+        odometry = self._odometry_until(time_ns, self._frames[:at]) if covered else None
         truth = self.motion.true_pose(time_ns)
-        self.motion.forget_before(time_ns)
-        self.previous_ns, self._previous_covered = time_ns, covered
-        self.frames_span_ns = (self.frames_span_ns[0] if self.frames_span_ns else time_ns, time_ns)
+        self._frames.insert(at, (time_ns, covered))
+        followed = bisect_right(self._frames, (self._frames[-1][0] - self._late_ns, True)) - 1
+        del self._frames[: max(followed, 0)]
+        self.motion.forget_before(self._frames[0][0])
+        self.frames_span_ns = (self.frames_span_ns[0] if self.frames_span_ns else time_ns, self._frames[-1][0])
         image, camera = self._camera.seen(image, time_ns)
         return Frame(time_ns, image, odometry, truth, camera)
 
-    def _odometry_until(self, time_ns: int) -> Odometry | None:
-        if self.previous_ns is None or not self._previous_covered:
+    def _odometry_until(self, time_ns: int, before: Sequence[tuple[int, bool]]) -> Odometry | None:
+        """Motion since the last of the frames before, where odometry covers that."""
+        if not before or not before[-1][1]:
             return None
-        return self.motion.odometry_between(self.previous_ns, time_ns)
+        return self.motion.odometry_between(before[-1][0], time_ns)
 
     def moved_until(self, time_ns: int) -> Odometry | None:
         """Motion of the camera since the last frame, for use between images; None where it is unknown."""
         previous_ns = self.previous_ns
         if previous_ns is None or time_ns <= previous_ns or not self.motion.covers(time_ns):
             return None
-        return self._odometry_until(time_ns)
+        return self._odometry_until(time_ns, self._frames)
 
     def settle(self, time_ns: int) -> None:
         """Begin the next motion there, as at a frame; earlier images are then too late."""
-        self.previous_ns, self._previous_covered = time_ns, self.motion.covers(time_ns)
+        self._frames = [(time_ns, self.motion.covers(time_ns))]
         self.motion.forget_before(time_ns)
 
     def account_for_the_rest(self) -> None:

@@ -201,7 +201,7 @@ def test_an_inflated_posterior_has_the_same_places_of_larger_errors():
 pytestmark = pytest.mark.usefixtures("unchecked")
 
 
-NEVER_CARRIED_OFF = LocalizerConfig(birth_rate=0.0, max_birth_rate=0.0, odometry_bias=BIAS)
+NEVER_CARRIED_OFF = LocalizerConfig(birth_rate=0.0, max_birth_rate=0.0, odometry_failures_per_s=0.0, odometry_bias=BIAS)
 
 
 def filtered(path):

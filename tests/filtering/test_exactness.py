@@ -21,7 +21,9 @@ ONE_PLACE = MeasurementNoise(
     correlated_fraction=0.7,
 )
 SLOWLY = OdometryBias(scale=0.05, drift=(0.01, 0.02, 0.015, 1e-7, 2e-7, 3e-7), time_s=4.0)
-ALONE = LocalizerConfig(birth_rate=0.0, max_birth_rate=0.0, adapt_errors=False, odometry_bias=SLOWLY)
+ALONE = LocalizerConfig(
+    birth_rate=0.0, max_birth_rate=0.0, odometry_failures_per_s=0.0, adapt_errors=False, odometry_bias=SLOWLY
+)
 IMAGE_STD = np.array([0.03, 0.05, 0.04, 2e-6, 1e-6, 3e-6])
 MOTION_STD = np.array([0.004, 0.003, 0.002, 2e-7, 3e-7, 1e-7])
 STEP = np.array([0.08, -0.03, 0.05, 0.0, 0.0, 0.0])

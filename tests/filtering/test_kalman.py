@@ -31,7 +31,7 @@ def test_with_one_place_per_image_it_is_the_particle_filter_with_one_hypothesis(
     path = walk(
         60, rng=np.random.default_rng(0), noise=replace(ERRORS, degrees_of_freedom=5.0, outlier_probability=1e-9)
     )
-    certain = LocalizerConfig(birth_rate=0.0, max_birth_rate=0.0, odometry_bias=BIAS)
+    certain = LocalizerConfig(birth_rate=0.0, max_birth_rate=0.0, odometry_failures_per_s=0.0, odometry_bias=BIAS)
     filtered = ParticleLocalizer(None, certain, rng=np.random.default_rng(0))
     kalman = KalmanLocalizer(replace(CONFIG, gate_probability=0.999999))
     for i, (posterior, motion) in enumerate(zip(path.posteriors, path.odometry, strict=True)):

@@ -34,11 +34,11 @@ ELSEWHERE = Poses.exp(np.array([0.0, 0.0, 30.0, 0.0, 0.0, 0.0]))
 class KnowingModel(VaporObservationModel):
     """An observation model that recognizes the colours of a walk of at most twelve images, in some seconds each.
 
-    Of two places that look alike the second is 30 m above the first.
+    Of two places that look alike the second is 30 m above the first. Samples err by `spread_m`, drawn anew each time.
     """
 
-    def __init__(self, places: int = 1, seconds: float = 0.0) -> None:
-        self.places, self.seconds = places, seconds
+    def __init__(self, places: int = 1, seconds: float = 0.0, spread_m: float = 0.005) -> None:
+        self.places, self.seconds, self.spread_m = places, seconds, spread_m
         calibration = SimpleNamespace(errors=MeasurementNoise(), odometry=None)
         self.description: Any = SimpleNamespace(calibration=calibration, prior_poses=Poses.identity(3))
         self.verifier = None
@@ -55,7 +55,7 @@ class KnowingModel(VaporObservationModel):
         index = int(np.argmin([np.abs(picture(i)[0, 0].astype(int) - image[5, 5]).sum() for i in range(12)]))
         truth = world_from_camera(BEGIN_NS + 100_000_000 * index)
         seen = [truth if n == 0 else ELSEWHERE @ truth for n in range(self.places)]
-        noise = Poses.exp(rng.normal(0.0, 0.005, (200, 6)))
+        noise = Poses.exp(rng.normal(0.0, self.spread_m, (200, 6)))
         samples = Poses.concatenate([Poses.stack([pose] * 200) @ noise for pose in seen])
         return PosePosterior.from_samples(samples, MeasurementNoise())
 

@@ -32,14 +32,14 @@ _SETTLE_S, _SETTLED_S = 4.0, 2.0  # without images the belief follows odometry f
 class Anchor:
     """The belief at the last localized image, or at a stated pose (without a frame), from which odometry leads on.
 
-    `map_from_odom` is by the best mode; None where the odometry at `time_ns` is unknown. `reading` is that of
+    `odom_from_base` is the base's pose by odometry at `time_ns`, None where it is unknown. `reading` is that of
     `LiveReader.readings`, `began_s` the time of arrival by `time.monotonic`.
     """
 
     time_ns: int
     reading: int
     estimate: Estimate
-    map_from_odom: Poses | None
+    odom_from_base: Poses | None
     frame: Frame | None
     began_s: float = field(default_factory=time.monotonic)
 
@@ -54,11 +54,11 @@ class LiveEstimate:
     """The belief after one image, and the robot's poses by it.
 
     Attributes:
-        frame: The image, its stamp, and the odometry since the image before.
+        frame: The newest image, its stamp, and the odometry since the image before; the same again after a late image.
         estimate: The filter's estimate.
         map_from_base: Pose of the odometry's child frame at the time of the image, by the best mode, one pose.
         map_from_odom: Transform from the map to the odometry's frame, one pose; None unless converged.
-        latency_ms: Milliseconds from the image's arrival to this estimate.
+        latency_ms: Milliseconds from the arrival of the image, or the late one, to this estimate.
         skipped: Number of images that were skipped so far, by reason.
     """
 
@@ -95,6 +95,7 @@ class LiveBelief:
         noise = model.description.calibration.errors.finest
         self._views = NoveltyTracker(noise.length_m, noise.length_rad)
         self._verified_s = -np.inf  # when landmarks were last looked for, of `time.monotonic`
+        self._ahead_ns = 0  # the filter's clock, which is never set, ahead of the stamps
 
     def observe(self, frame: Frame) -> PosePosterior:
         """The posterior of an image, see `ParticleLocalizer.observe`.
@@ -102,13 +103,15 @@ class LiveBelief:
         With a map of landmarks, an image whose view is not new has no places, and no landmarks are looked for in it.
         """
         self._model.camera = frame.camera  # which may zoom
-        self._model.verifies = self._model.verifier is None or self._is_new(frame.odometry)
+        self._model.verifies = self._model.verifier is None or self._is_new(frame)
         posterior = self.localizer.observe(frame.image)
         return posterior if self._model.verifies else posterior.without_places()
 
-    def _is_new(self, motion: Odometry | None) -> bool:
+    def _is_new(self, frame: Frame) -> bool:
         """Whether to look for landmarks: the belief is unsure, or motion or a second passed since the last time."""
-        if motion is not None:
+        motion, newest_ns = frame.odometry, self.reader.frame_ns
+        is_late = newest_ns is not None and frame.time_ns < newest_ns  # its motion is part of one that was added
+        if motion is not None and not is_late:
             self._views, _ = self._views.predict(motion.previous_from_current)
         now_s = time.monotonic()
         anchor, lately = self.anchor, now_s - self._verified_s < _VERIFIED_S
@@ -124,17 +127,23 @@ class LiveBelief:
         Raises:
             VaporTrackError: the filter cannot use it; the belief is as before.
         """
-        odometry = self._restated(job.frame.odometry)
-        if self.anchor is None:
-            elapsed_s = 0.0
-        elif self.anchor.reading != job.reading:  # the clock was set
-            elapsed_s = max(job.began_s - self.anchor.began_s, 0.0)
+        frame, anchor = job.frame, self.anchor
+        ahead_ns = self._ahead_of(frame.time_ns, job.reading, job.began_s - (0.0 if anchor is None else anchor.began_s))
+        odometry, time_ns = self._restated(frame.odometry), frame.time_ns + ahead_ns
+        estimate = self.localizer.advance(Observation.of_posterior(posterior, odometry, time_ns=time_ns))
+        self._ahead_ns = ahead_ns
+        if anchor is not None and anchor.reading == job.reading and frame.time_ns < anchor.time_ns:  # it was late
+            self.anchor = replace(anchor, estimate=estimate)
         else:
-            elapsed_s = max(job.frame.time_ns - self.anchor.time_ns, 0) * 1e-9
-        estimate = self.localizer.advance(Observation.of_posterior(posterior, odometry, elapsed_s))
-        map_from_odom = self._map_from_odom(estimate, job.odom_from_base)
-        self.anchor = Anchor(job.frame.time_ns, job.reading, estimate, map_from_odom, job.frame, job.began_s)
+            self.anchor = Anchor(frame.time_ns, job.reading, estimate, job.odom_from_base, frame, job.began_s)
         return self.anchor
+
+    def _ahead_of(self, time_ns: int, reading: int, elapsed_s: float) -> int:
+        """How far the filter's clock is ahead of a stamp, so many seconds after the anchor where a clock was set."""
+        anchor = self.anchor
+        if anchor is None or anchor.reading == reading:
+            return self._ahead_ns
+        return anchor.time_ns + self._ahead_ns + max(round(elapsed_s * 1e9), 1) - time_ns
 
     def forget(self) -> None:
         """Start without a belief at the latest odometry."""
@@ -145,14 +154,15 @@ class LiveBelief:
         self, time_ns: int, pose: Poses, covariance: Float64[np.ndarray, "6 6"], noise: MeasurementNoise
     ) -> Anchor:
         """Start at a stated pose; the arguments are those of `ParticleLocalizer.start_at`, at a time with odometry."""
-        estimate = self.localizer.start_at(pose, covariance, noise)
-        map_from_odom = self._map_from_odom(estimate, self.reader.odom_from_base(time_ns))
+        estimate = self.localizer.start_at(pose, covariance, noise, time_ns=time_ns)
+        odom_from_base = self.reader.odom_from_base(time_ns)
         self._begin_at(time_ns)
-        self.anchor = Anchor(time_ns, self.reader.readings, estimate, map_from_odom, None)
+        self.anchor = Anchor(time_ns, self.reader.readings, estimate, odom_from_base, None)
         return self.anchor
 
     def _begin_at(self, time_ns: int | None) -> None:
         self.anchor = self.now = None
+        self._ahead_ns = 0
         self._verified_s = -np.inf
         if time_ns is not None:
             self.reader.settle(time_ns)
@@ -169,24 +179,20 @@ class LiveBelief:
         self._verified_s = -np.inf  # its motion until then comes with no image
         if anchor is None:
             return
-        elapsed_s = max(settled_ns - anchor.time_ns, 0) * 1e-9 if anchor.reading == reader.readings else _SETTLE_S
-        estimate = self.localizer.predict(motion, elapsed_s=elapsed_s)
+        self._ahead_ns = self._ahead_of(settled_ns, reader.readings, _SETTLE_S)
+        estimate = self.localizer.predict(motion, time_ns=settled_ns + self._ahead_ns)
         self.anchor = replace(
-            anchor,
-            time_ns=settled_ns,
-            reading=reader.readings,
-            estimate=estimate,
-            map_from_odom=self._map_from_odom(estimate, odom_from_base),
+            anchor, time_ns=settled_ns, reading=reader.readings, estimate=estimate, odom_from_base=odom_from_base
         )
 
     def predicted(self, anchor: Anchor, at_network: Job | None, *, by_odometry: bool) -> tuple[int, Estimate]:
         """The belief of now and its stamp, without changing the filter.
 
-        Without `by_odometry` the motion since the anchor is unknown. An image `at_network` is later than the anchor.
+        Without `by_odometry` the motion since the anchor is unknown, of which that to an image `at_network` is a part.
         """
         time_ns, motion = self.reader.odometry_ns, None
         if by_odometry and time_ns is not None and anchor.reading == self.reader.readings:
-            motion = self._motion_until(time_ns, at_network)
+            motion = self._motion_since(anchor, time_ns, at_network)
         later = self.localizer.predicted(motion, elapsed_s=anchor.age_s)
         return time_ns or anchor.time_ns, later
 
@@ -194,19 +200,19 @@ class LiveBelief:
         self, anchor: Anchor, time_ns: int, at_network: Job | None
     ) -> Float64[np.ndarray, "6 6"] | None:
         """Covariance of the base's pose in its tangent, by the best mode; None where the motion is unknown."""
-        if (motion := self._motion_until(time_ns, at_network)) is None:
+        if (motion := self._motion_since(anchor, time_ns, at_network)) is None:
             return None
         covariance = motion.carry @ anchor.estimate.modes[0].covariance @ motion.carry.T + motion.covariance
         carry = self.reader.base_from_camera.adjoint()
         return carry @ covariance @ carry.T
 
-    def _motion_until(self, time_ns: int, at_network: Job | None) -> Odometry | None:
+    def _motion_since(self, anchor: Anchor, time_ns: int, at_network: Job | None) -> Odometry | None:
         begin_ns = self.reader.frame_ns
         if begin_ns is None or time_ns <= begin_ns:
             motion = Odometry(Poses.identity(), np.zeros((6, 6)), 0.0)
         else:
             motion = self.reader.moved_until(time_ns)
-        if motion is not None and at_network is not None:
+        if motion is not None and at_network is not None and at_network.frame.time_ns > anchor.time_ns:  # not late
             between = at_network.frame.odometry
             motion = None if between is None else between.then(motion)
         return self._restated(motion)
@@ -214,10 +220,11 @@ class LiveBelief:
     def _restated(self, odometry: Odometry | None) -> Odometry | None:
         return odometry if odometry is None or self._fit is None else self._fit.restated(odometry)
 
-    def _map_from_odom(self, estimate: Estimate, odom_from_base: Poses | None) -> Poses | None:
-        if odom_from_base is None:
+    def map_from_odom(self, anchor: Anchor) -> Poses | None:
+        """Transform from the map to the odometry's frame by the best mode, one pose; None where odometry is unknown."""
+        if anchor.odom_from_base is None:
             return None
-        return self.map_from_base(estimate) @ odom_from_base.inverse()
+        return self.map_from_base(anchor.estimate) @ anchor.odom_from_base.inverse()
 
     def map_from_base(self, estimate: Estimate) -> Poses:
         """Pose of the base by the best mode, one pose."""

@@ -175,7 +175,7 @@ class Publisher:
         if self._sent_anchor is anchor and self._sent_ns == time_ns:
             return
         if now.status == "converged" and anchor.reading == reader.readings:
-            map_from_odom = self._kept_map_from_odom = anchor.map_from_odom
+            map_from_odom = self._kept_map_from_odom = belief.map_from_odom(anchor)
         elif self._config.keep_tf:
             map_from_odom = self._kept_map_from_odom
         else:

@@ -187,8 +187,15 @@ class LiveSession:
                 return
 
     def _open(self) -> LiveBelief:
-        reader = open_live(self._transport, self._events, self._reading, admit=self._admit, waiting=self._say_waiting)
         calibration, settings = self._model.observation.description.calibration, self._config.localizer
+        reader = open_live(
+            self._transport,
+            self._events,
+            self._reading,
+            admit=self._admit,
+            waiting=self._say_waiting,
+            late_window_s=settings.late_window_s,
+        )
         fit = calibration.odometry if self._config.fitted_odometry else None
         if fit is not None:
             settings = replace(settings, odometry_bias=fit.odometry_bias)
@@ -339,12 +346,13 @@ class LiveSession:
         self._publisher.send_motion(belief, self._network.job)
         latency_ms = (self._now_ns() - job.arrived_ns) * 1e-6
         self._health.image_was_localized(latency_ms)
-        if self._viewer is not None:
-            self._viewer.log(job.frame, anchor.estimate, posterior.samples)
-        estimate = anchor.estimate
-        map_from_odom = anchor.map_from_odom if estimate.status == "converged" else None
+        estimate, frame = anchor.estimate, anchor.frame
+        assert frame is not None
+        if self._viewer is not None and frame is job.frame:
+            self._viewer.log(frame, estimate, posterior.samples)
+        map_from_odom = belief.map_from_odom(anchor) if estimate.status == "converged" else None
         map_from_base = belief.map_from_base(estimate)
-        self._on_estimate(LiveEstimate(job.frame, estimate, map_from_base, map_from_odom, latency_ms, self.skipped))
+        self._on_estimate(LiveEstimate(frame, estimate, map_from_base, map_from_odom, latency_ms, self.skipped))
 
     def _refuse(self, error: VaporTrackError) -> None:
         if not self._health.refused:

@@ -84,7 +84,9 @@ ABLATIONS: Mapping[str, Ablation] = MappingProxyType(
         ),
         "no-injection": Ablation(
             "no hypothesis is added after the first image",
-            localizer=lambda config: replace(config, births="rate", birth_rate=0.0, max_birth_rate=0.0),
+            localizer=lambda config: replace(
+                config, births="rate", birth_rate=0.0, max_birth_rate=0.0, odometry_failures_per_s=0.0
+            ),
         ),
         "inject-on-doubt": Ablation(
             "hypotheses are added where the images cast doubt, as in AMCL",

@@ -37,7 +37,7 @@ def gaussian_sum(config: LocalizerConfig) -> LocalizerConfig:
 
     Source: Alspach and Sorenson, "Nonlinear Bayesian estimation using Gaussian sum approximations", 1972.
     """
-    rates = {"birth_rate": 0.0, "max_birth_rate": 0.0}
+    rates = {"birth_rate": 0.0, "max_birth_rate": 0.0, "odometry_failures_per_s": 0.0}
     return replace(config, **rates, births="rate", max_hypotheses=GAUSSIANS, resampling="heaviest")
 
 

@@ -3,6 +3,7 @@
 import queue
 import struct
 from collections.abc import Iterable, Iterator
+from functools import reduce
 from itertools import pairwise
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from filtering.motion import Odometry
 from sequences.errors import NotFoundError, SequenceError
 from sequences.frame import Frame
 from sequences.live.reader import LiveReader, TopicBuffer
@@ -42,8 +44,10 @@ ODD = "time stamp unlike those before"
 class Robot:
     """A running system, and who reads it: opens it as soon as everything is there, and asks for the frames."""
 
-    def __init__(self, transport: FakeTransport, options: ReadingOptions | None = None) -> None:
-        self.transport, self.options = transport, options or ReadingOptions()
+    def __init__(
+        self, transport: FakeTransport, options: ReadingOptions | None = None, *, late_window_s: float = 0.0
+    ) -> None:
+        self.transport, self.options, self.late_window_s = transport, options or ReadingOptions(), late_window_s
         self.events: queue.SimpleQueue[RawMessage] = queue.SimpleQueue()
         self.heard = TopicBuffer(transport, self.events, options=self.options)
         self.opened: LiveReader | None = None
@@ -60,7 +64,7 @@ class Robot:
         if self.opened is not None:
             return
         try:
-            self.opened = LiveReader(self.heard, self.options)
+            self.opened = LiveReader(self.heard, self.options, late_window_s=self.late_window_s)
         except NotFoundError as error:
             self.wanting.append(str(error))
             return
@@ -221,6 +225,47 @@ def test_images_out_of_order_and_images_twice_are_counted(raws: list[RawMessage]
     assert 300 not in robot.times_ms
     assert len(robot.frames) == 11
     assert robot.reader.counts.as_json() == {"stated": 12, "read": 12, "used": 11, "skipped": {LATE: 1}}
+
+
+@pytest.mark.parametrize("by_tf", [False, True])
+def test_an_image_late_within_the_window_moves_from_the_frame_before_it_in_time(by_tf: bool, tmp_path: Path) -> None:
+    path = tf_record(tmp_path / "tf.mcap") if by_tf else Walk().write(tmp_path / "walk.mcap")
+    frames = {frame.time_ns: frame for frame in SequenceReader(path)}
+    raws = messages_of(path)
+    late = {at: next(raw for raw in raws if "Image" in raw.type and at_ms(raw) == at) for at in (300, 400, 500)}
+    said = [raw for raw in raws if raw not in late.values()]
+    robot = Robot(offering(raws), late_window_s=0.35)
+    robot.live_through([raw for raw in said if at_ms(raw) < 650])
+    robot.live_through([late[500], late[400], late[500]])
+    robot.live_through([raw for raw in said if 650 < at_ms(raw) < 750])
+    robot.live_through([late[300]])  # 0.4 s late
+    robot.live_through([raw for raw in said if at_ms(raw) > 750])
+    assert robot.times_ms == [0, 100, 200, 600, 500, 400, 700, 800, 900, 1000, 1100]
+    assert robot.reader.counts.skipped == {LATE: 2}
+    moved = {frame.time_ns: frame.odometry for _, frame in robot.frames}
+    since_200 = [frames[BEGIN_NS + at * MS].odometry for at in (300, 400, 500)]
+    expected = reduce(Odometry.then, [each for each in since_200 if each is not None])
+    for at, odometry in ((500, expected), (700, frames[BEGIN_NS + 700 * MS].odometry)):
+        found = moved[BEGIN_NS + at * MS]
+        assert found is not None
+        assert odometry is not None
+        assert close(found.previous_from_current, odometry.previous_from_current, 1e-9)
+        # On tf it is by the stated noise of motions between images.
+        np.testing.assert_allclose(found.covariance, odometry.covariance, atol=1e-6 if by_tf else 1e-12)
+        assert found.duration_s == pytest.approx(odometry.duration_s)
+
+
+def test_images_that_were_overtaken_come_while_no_newer_one_is_there(long_raws: list[RawMessage]) -> None:
+    robot = Robot(offering(long_raws), late_window_s=0.25)
+    robot.live_through([raw for raw in long_raws if at_ms(raw) < 250])
+    robot.live_through([raw for raw in long_raws if 250 < at_ms(raw) < 1050], ask=False)
+    newest, older = robot.reader.newest_frame(), robot.reader.newest_frame()
+    assert newest is not None
+    assert older is not None
+    assert [(frame.time_ns - BEGIN_NS) / MS for frame in (newest, older)] == [1000, 900]
+    robot.live_through([raw for raw in long_raws if 1050 < at_ms(raw) < 1150])
+    assert robot.times_ms == [0, 100, 200, 800, 1100]
+    assert robot.reader.counts.skipped == {OVERTAKEN: 5}
 
 
 def test_odometry_that_comes_twice_or_late_is_left_out(raws: list[RawMessage], walk_file: Path) -> None:
@@ -468,7 +513,7 @@ def test_every_image_is_used_skipped_or_waits_whatever_happens(long_raws: list[R
             raw = raw._replace(data=raw.data[: rng.integers(len(raw.data))])
         said += [raw] * (1 + int(rng.random() < twice))
     with no_checks():
-        robot = Robot(offering(said))
+        robot = Robot(offering(said), late_window_s=float(rng.choice([0.0, 0.2])))
         begin = next(n for n, raw in enumerate(said) if at_ms(raw) >= 200)
         robot.live_through(said[:begin])
         images = sum(raw.topic == IMAGES for raw in said[:begin])

@@ -105,7 +105,7 @@ HEAD = "network.latent_mean.weight"
 MALFORMED = {
     "no metadata": (lambda t, m: (t, {}), "format is None"),
     "another format": (lambda t, m: (t, {**m, "format": "other"}), "format is 'other'"),
-    "another version": (lambda t, m: (t, {**m, "version": "1"}), "version is '1', expected '11'; train the model a"),
+    "another version": (lambda t, m: (t, {**m, "version": "1"}), "version is '1', expected '12'; train the model a"),
     "no configuration": (lambda t, m: (t, _without(m, "config")), "expected a JSON object"),
     "configuration that is no JSON": (lambda t, m: (t, {**m, "config": "{"}), "expected JSON"),
     "missing tensor": (lambda t, m: (_without(t, HEAD), m), f"lacks tensor {HEAD}"),

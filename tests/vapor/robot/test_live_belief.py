@@ -37,14 +37,14 @@ def anchor_of(status, agreement):
     return SimpleNamespace(estimate=SimpleNamespace(status=status, agreement=agreement))
 
 
-READER = SimpleNamespace(odometry_ns=None)
+READER = SimpleNamespace(odometry_ns=None, frame_ns=None)
 
 
 def seen(belief, metres):
     """Whether an image so far from the one before has places, and landmarks are looked for; None: not known how far."""
     step = None if metres is None else Poses.exp(np.array([metres, 0.0, 0.0, 0.0, 0.0, 0.0]))
     motion = None if step is None else Odometry(step, 1e-6 * np.eye(6), 0.03)
-    posterior = belief.observe(SimpleNamespace(camera=None, image=None, odometry=motion))
+    posterior = belief.observe(SimpleNamespace(camera=None, image=None, odometry=motion, time_ns=0))
     assert belief._model.verifies != posterior.is_uninformative
     return not posterior.is_uninformative
 
@@ -61,6 +61,12 @@ def test_landmarks_are_looked_for_once_a_second_while_the_robot_stands(belief, c
         found.append(seen(belief, 0.0))
         clock.s += 1.0 / 30.0
     assert sum(found) == 3
+
+
+def test_the_motion_to_a_late_image_is_not_counted_twice(belief, clock):
+    assert [seen(belief, metres) for metres in (None, 0.03)] == [True, False]
+    belief.reader = SimpleNamespace(odometry_ns=None, frame_ns=1)  # which is newer than the next
+    assert not seen(belief, 0.03)
 
 
 def test_landmarks_are_looked_for_where_the_motion_is_unknown_and_after_the_belief_was_forgotten(belief, clock):

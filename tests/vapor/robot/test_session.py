@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from filtering.config import LocalizerConfig
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from filtering.storeys import Storeys
@@ -21,6 +22,7 @@ from tests.helpers.fake_transport import messages_of, offering
 from tests.helpers.live_session import ELSEWHERE, KnowingModel, Running, hurry, knowing, running
 from tests.helpers.live_system import stamp
 from tests.helpers.sequence_files import BEGIN_NS, IMAGES, ODOMETRY, Walk, world_from_base, world_from_camera
+from tests.helpers.simulation import assert_same_belief
 from vapor.robot.config import LiveConfig
 from vapor.robot.session import LiveSession
 
@@ -157,7 +159,7 @@ def test_a_message_on_initialpose_begins_anew_there(walk: Path) -> None:
         run.control("/initialpose", kind, header={"frame_id": "map"}, **told)
         run.wait_told("by /initialpose")
         belief: Any = run.session._belief
-        best = belief.localizer.predict(None).modes[0].world_from_camera
+        best = belief.localizer.predicted(None).modes[0].world_from_camera
         base = best @ SequenceReader(walk).base_from_camera.inverse()  # pyright: ignore[reportOptionalMemberAccess]
         assert np.allclose(base.translation[:2], [70.0, -3.0])
 
@@ -234,18 +236,59 @@ def test_a_damaged_image_is_counted_and_said_once(walk: Path) -> None:
         assert run.values()["images skipped, undecodable image"] == "3"
 
 
-def test_a_slow_network_gets_the_newest_image_and_the_others_are_counted(walk: Path) -> None:
+def test_a_slow_network_gets_the_newest_image_and_others_later_or_they_are_counted(walk: Path) -> None:
     with running(walk, model=KnowingModel(seconds=0.15)) as run:
         run.wait_until_subscribed()
         for raw in messages_of(walk):
             run.transport.say(raw)
             if raw.topic == IMAGES:
                 time.sleep(0.05)
-        run.wait(lambda: bool(run.estimates) and run.estimates[-1].time_ns == BEGIN_NS + NS // 10 * 11)
-        assert 3 <= len(run.estimates) <= 9
-        assert run.session.skipped == {"a newer image was there": 12 - len(run.estimates)}
+        run.wait(lambda: run.session.localized + sum(run.session.skipped.values()) == 12)
+        times = [(each.time_ns - BEGIN_NS) // (NS // 10) for each in run.estimates]
+        newest = sorted(set(times))
+        assert 3 <= len(newest) <= 9
+        assert times == [*newest, *[11] * (len(times) - len(newest))], "late ones come while nothing newer is there"
+        assert set(run.session.skipped) == {"a newer image was there"}
         for each in run.estimates:  # the motion over images that were left out is not lost
             assert each.estimate.modes[0].world_from_camera.distance(world_from_camera(each.time_ns))[0] < 0.05
+
+
+def test_images_in_any_order_give_the_belief_of_those_in_order(walk: Path) -> None:
+    raws = [raw for raw in messages_of(walk) if raw.topic != "/ground_truth/pose"]
+    images, others = ([raw for raw in raws if (raw.topic == IMAGES) == is_image] for is_image in (True, False))
+    beliefs = []
+    for order in (range(12), [0, 1, 2, 4, 3, 5, 9, 7, 8, 6, 11, 10]):
+        with running(walk, model=KnowingModel(spread_m=0.0)) as run:
+            run.wait_until_subscribed()
+            for raw in others:
+                run.transport.say(raw)
+            for number, index in enumerate(order):
+                run.transport.say(images[index])
+                run.wait_for(number + 1)
+            newest = np.maximum.accumulate([*order])
+            assert [each.time_ns for each in run.estimates] == [BEGIN_NS + NS // 10 * int(i) for i in newest]
+            assert run.session.skipped == {}
+            beliefs.append(run.estimates[-1])
+            pose = pose_from_message(run.messages("pose")[-1].pose.pose)
+            assert stamp(run.messages("pose")[-1].header) == BEGIN_NS + NS // 10 * 11
+            assert pose.distance(beliefs[-1].estimate.modes[0].world_from_camera)[0] < 1e-9
+    assert_same_belief(*(each.estimate for each in beliefs), rtol=0, atol=1e-9)
+    assert beliefs[0].map_from_base.distance(beliefs[1].map_from_base)[0] < 1e-9
+
+
+def test_an_image_that_is_late_by_more_than_the_window_is_left_out_and_counted(walk: Path) -> None:
+    with running(walk, localizer=LocalizerConfig(late_window_s=0.25)) as run:
+        images = [raw for raw in messages_of(walk) if raw.topic == IMAGES]
+        run.wait_until_subscribed()
+        for raw in messages_of(walk):
+            if raw.topic not in (IMAGES, "/ground_truth/pose"):
+                run.transport.say(raw)
+        for number, index in enumerate([0, 1, 4, 6, 5]):
+            run.transport.say(images[index])
+            run.wait_for(number + 1)
+        run.transport.say(images[3])
+        run.wait(lambda: run.session.skipped == {"time stamp not increasing": 1})
+        assert run.session.localized == 5
 
 
 def test_a_network_that_hangs_does_not_leave_the_estimate_converged(walk: Path) -> None:
