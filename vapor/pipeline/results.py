@@ -22,7 +22,7 @@ _PACKAGES = ("vapor-track", "torch", "numpy", "scipy", "filterpy", "gtsam", "ope
 RESULTS = frozenset(
     {
         *FILES.values(),
-        *("ground_truth.tum", "status.csv", "config.json", "estimate.mcap", "recording.rrd"),
+        *("ground_truth.tum", "status.csv", "modes.csv", "config.json", "estimate.mcap", "recording.rrd"),
         *("report.html", "report.json"),
     }
 )

@@ -65,7 +65,7 @@ def build_report(record: RunRecord) -> dict[str, Any]:
         report |= evaluate_methods(record.methods, record.truth)
         converged = np.array([status == "converged" for status in record.status])
         report["consistency"] = evaluate_consistency(
-            record.methods["filter"], record.covariance, converged, record.truth
+            record.methods["filter"], record.covariance, record.degrees_of_freedom, converged, record.truth
         )
     return _rounded(report)
 
@@ -94,7 +94,9 @@ def write_status(path: Path, record: RunRecord) -> None:
     """Write how good the pose of each image is, as CSV.
 
     `status`, `std_m`, `std_deg`: the filter's status, and standard deviations of its pose along the widest axis of
-    position and rotation. `smoothed`: whether the images about the smoothed pose fit it, `fits` or `doubtful`.
+    position and rotation. `unassigned`: probability that the camera is at none of the hypotheses. `log_likelihood`: see
+    `Estimate`. `innovation`: normalised innovation squared of the best mode per degree of freedom; empty without one.
+    `smoothed`: whether the images about the smoothed pose fit it, `fits` or `doubtful`.
     """
     widest = [
         np.sqrt(np.linalg.eigvalsh(record.covariance[:, part, part]))[:, -1] for part in (slice(0, 3), slice(3, 6))
@@ -102,9 +104,16 @@ def write_status(path: Path, record: RunRecord) -> None:
     doubts = doubtful(record)
     fits = [""] * len(record.times_ns) if doubts is None else np.where(doubts, "doubtful", "fits").tolist()
     with atomic_output(path) as partial, open(partial, "w", encoding="ascii") as file:
-        file.write("time,status,std_m,std_deg,smoothed\n")
-        for time_ns, status, std_m, std_rad, fit in zip(record.times_ns, record.status, *widest, fits, strict=True):
-            file.write(f"{format_time(int(time_ns))},{status},{std_m:.4f},{np.degrees(std_rad):.3f},{fit}\n")
+        file.write("time,status,std_m,std_deg,unassigned,log_likelihood,innovation,smoothed\n")
+        of_filter = (record.unassigned, record.log_likelihood, record.innovation)
+        for time_ns, status, std_m, std_rad, unassigned, log_likelihood, innovation, fit in zip(
+            record.times_ns, record.status, *widest, *of_filter, fits, strict=True
+        ):
+            shown = "" if np.isnan(innovation) else f"{innovation:.3f}"
+            file.write(
+                f"{format_time(int(time_ns))},{status},{std_m:.4f},{np.degrees(std_rad):.3f},{unassigned:.4f},"
+                f"{log_likelihood:.4f},{shown},{fit}\n"
+            )
 
 
 def is_report(path: Path, keys: Collection[str]) -> bool:
