@@ -9,7 +9,7 @@ import numpy as np
 
 from filtering.cameras import CameraMemory
 from filtering.hypotheses import Hypotheses
-from filtering.se3 import Poses
+from filtering.identity import KnownModes
 from filtering.unchecked import unchecked_replace
 
 
@@ -22,7 +22,8 @@ class Belief:
         hypotheses: Where the camera may be; None before the first image.
         unassigned: Probability that it is at none of these, but anywhere in the map.
         cameras: The memory of each camera, by its name.
-        best: The best mode of the last estimate, moved by odometry since, one pose; None before the first.
+        known: The modes of the last estimate, moved since.
+        calibrated: Whether the latest image had Student t tails, see `PosePosterior.calibrated`.
         agreement: Fraction of the belief that fits the latest images, in [0, 1].
         usual_agreement: The same over a longer time.
         unseen_s: Seconds since an image with any place, or one out of distribution.
@@ -35,7 +36,8 @@ class Belief:
     hypotheses: Hypotheses | None = None
     unassigned: float = 1.0
     cameras: Mapping[str, CameraMemory] = field(default_factory=dict)
-    best: Poses | None = None
+    known: KnownModes = field(default_factory=KnownModes)
+    calibrated: bool = False
     agreement: float = 1.0
     usual_agreement: float = 1.0
     unseen_s: float = 0.0
@@ -44,8 +46,8 @@ class Belief:
     normalized_distance: float = 0.0
 
     def forgotten(self) -> Belief:
-        """An empty belief with the same source of random draws."""
-        return Belief(self.rng)
+        """An empty belief with the same source of random draws; identities of modes are not given again."""
+        return Belief(self.rng, known=self.known.forgotten())
 
     def with_camera(self, name: str, camera: CameraMemory) -> Belief:
         """The same with the memory of one camera replaced."""

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
+from scipy.special import chdtri, fdtri
 
-from filtering.errors import require_within
+from filtering.errors import VaporTrackError, require_within
 from filtering.hypotheses import Hypotheses
 from filtering.measurement_noise import MeasurementNoise
 from filtering.moments import mixture_moments
@@ -17,8 +18,42 @@ from filtering.se3 import Poses
 
 _MARGIN = 1.01  # of a squared distance of hypotheses that are compared in full
 
+_GAUSSIAN = 1e6  # degrees of freedom from which on a Student t distribution is taken as Gaussian
+
 Status = Literal["converged", "ambiguous", "lost"]
 STATUSES: tuple[Status, ...] = get_args(Status)
+
+
+class Innovation(NamedTuple):
+    """How far an image is from where a mode was expected to see it (Bar-Shalom et al. 2001, §5.4).
+
+    Attributes:
+        squared: Normalised innovation squared yᵀ S⁻¹ y of the place nearest to the mode, before the image corrects it;
+            summed over the images of a step. S is the innovation's covariance by the belief and the ordinary error.
+        degrees_of_freedom: 6 for each of these images: what it is on average where the errors are Gaussian and as
+            large as stated. Tails of a Student t distribution make it larger.
+    """
+
+    squared: float
+    degrees_of_freedom: int
+
+
+def squared_radius(
+    probability: float, degrees_of_freedom: float | Float64[np.ndarray, " n"]
+) -> Float64[np.ndarray, "*n"]:
+    """Squared Mahalanobis distances within which poses are with a probability, of one mode or of n.
+
+    The six components of the error have a Student t distribution; it is Gaussian where the degrees of freedom are
+    infinite.
+
+    Raises:
+        VaporTrackError: the probability is not between 0 and 1.
+    """
+    if not 0.0 < probability < 1.0:
+        raise VaporTrackError(f"region of probability {probability}, expected one between 0 and 1")
+    nu = np.asarray(degrees_of_freedom, np.float64)
+    student = 6.0 * fdtri(6, np.minimum(nu, _GAUSSIAN), probability)
+    return np.where(nu < _GAUSSIAN, student, chdtri(6, 1.0 - probability))
 
 
 @dataclass(frozen=True)
@@ -30,12 +65,39 @@ class Mode:
         covariance: Covariance of ξ = (v, ω), metres and radians, in the tangent at the mode (camera frame).
         weight: Probability that the camera is there, in [0, 1].
         verified: Whether it is a place of one image, verified by landmarks.
+        identity: The same from step to step while the mode goes on; never given again. -1 for places of one image and
+            for the one mode of a baseline.
+        innovation: Of the images of this step; None without any, where none of their places is near, and for a mode
+            that is new.
+        degrees_of_freedom: Of the Student t distribution of the error, whose scale matrix is the covariance; infinite
+            for a Gaussian. That of one calibrated image has the image's tails, that of many is nearly Gaussian.
     """
 
     world_from_camera: Poses
     covariance: Float64[np.ndarray, "6 6"]
     weight: float
     verified: bool = False
+    identity: int = -1
+    innovation: Innovation | None = None
+    degrees_of_freedom: float = np.inf
+
+    def squared_radius(self, probability: float) -> float:
+        """Squared Mahalanobis distance within which the true pose is with a probability, if the mode is right.
+
+        Raises:
+            VaporTrackError: the probability is not between 0 and 1.
+        """
+        return float(squared_radius(probability, self.degrees_of_freedom))
+
+    def contains(self, poses: Poses, probability: float) -> Bool[np.ndarray, "*n"]:
+        """Which poses (any batch) lie in the mode's region of a probability, in all six dimensions.
+
+        Raises:
+            VaporTrackError: the probability is not between 0 and 1.
+        """
+        error = self.world_from_camera.between(poses).log()
+        squared = np.vecdot(error, np.linalg.solve(self.covariance, error[..., None])[..., 0])
+        return np.asarray(squared <= self.squared_radius(probability))
 
     @property
     def widest_std_m(self) -> float:
@@ -69,10 +131,6 @@ class ModeConfig:
             min_weight=(0.0, 1.0),
         )
 
-    def same_place(self, poses: Poses, mode: Mode, noise: MeasurementNoise) -> Bool[np.ndarray, "*n"]:
-        """Which poses (any batch) lie within the reach of a mode, along each of its camera's axes."""
-        return _within(mode.world_from_camera.between(poses).log(), self.reach(noise, mode.covariance))
-
     def reach(self, noise: MeasurementNoise, covariance: Float64[np.ndarray, "*n 6 6"]) -> Float64[np.ndarray, "*n 6"]:
         """How far modes with these covariances reach, along and about each of their axes, metres and radians."""
         reach = self.radius * noise.ordinary_std(covariance)
@@ -93,6 +151,11 @@ class Estimate:
         covariances: Of each, of ξ = (v, ω) in the tangent at it, (n, 6, 6).
         log_weights: Their normalised log weights, (n,).
         unassigned: Probability that the camera is at none of them: the weights of all modes and this are 1 in all.
+        log_likelihood: Log marginal likelihood of the step's images, at most 0, summed over them; 0 without any. It is
+            that of which place they show, relative to images that fit all of the belief: log Σ w (ε + (1 − ε) p)^λ
+            over the hypotheses, with weight w, outlier probability ε, and p in [0, 1] for how possible each is; what
+            is unassigned fits. Correlated images count once: λ is the novelty. Where in the place it is, is not part
+            of it, see `Mode.innovation`.
         agreement: Share of the belief that the latest images fitted, in [0, 1].
         novelty: Fraction of the image's information that earlier images lack, in [0, 1].
         normalized_distance: That the camera moved since the image before, in lengths over which the errors of its
@@ -106,6 +169,7 @@ class Estimate:
     covariances: Float64[np.ndarray, "n 6 6"]
     log_weights: Float64[np.ndarray, " n"]
     unassigned: float
+    log_likelihood: float
     agreement: float
     novelty: float
     normalized_distance: float
@@ -127,11 +191,19 @@ class Estimate:
         return self.particles[which] @ Poses.exp((factor[which] @ draws)[..., 0])
 
 
-def describe_modes(belief: Hypotheses, noise: MeasurementNoise, config: ModeConfig) -> tuple[Mode, ...]:
+def describe_modes(
+    belief: Hypotheses, noise: MeasurementNoise, config: ModeConfig, *, calibrated: bool = False
+) -> tuple[Mode, ...]:
     """The modes of a belief, by falling weight; at least one.
 
     The heaviest hypothesis takes those in its reach, then the heaviest of the rest, and so on. Mean and covariance are
     over a mode's own hypotheses only, with the constant errors added.
+
+    Args:
+        belief: n hypotheses.
+        noise: Of the first camera.
+        config: Which hypotheses make one mode.
+        calibrated: Whether the images have Student t tails, see `PosePosterior.calibrated`.
     """
     weights = belief.weights
     least = min(config.min_weight, float(weights.max()))
@@ -149,11 +221,31 @@ def describe_modes(belief: Hypotheses, noise: MeasurementNoise, config: ModeConf
         weights[members], np.concatenate(offsets), belief.pose_covariance[members], starts
     )
     poses = belief.poses[members[starts]] @ Poses.exp(means)
+    nu = _degrees_of_freedom(covariances, noise) if calibrated else np.full(len(poses), np.inf)
     covariances = covariances + noise.constant_covariance(covariances)
-    modes = [Mode(poses[k], covariances[k], weight) for k, weight in enumerate(totals.tolist())]
+    modes = [
+        Mode(poses[k], covariances[k], weight, degrees_of_freedom=float(nu[k]))
+        for k, weight in enumerate(totals.tolist())
+    ]
     modes.sort(key=lambda mode: -mode.weight)
     kept = [mode for mode in modes if mode.weight >= least]
     return tuple((kept or modes[:1])[: config.max_modes])
+
+
+def _degrees_of_freedom(
+    covariances: Float64[np.ndarray, "k 6 6"], noise: MeasurementNoise
+) -> Float64[np.ndarray, " k"]:
+    """Of modes with these covariances (without constant errors): ν N², if they are worth N ≥ 1 ordinary images.
+
+    N is the information of a mode in that of one image, averaged over the axes. Errors of many images add up to a
+    Gaussian; N² fits draws from the filter's own model (`tests/filtering/test_regions.py`). Repeated images of one view
+    add to neither.
+    """
+    finest = noise.finest
+    variance_of_image = np.square(finest.typical_std)
+    information = np.linalg.inv(covariances)
+    images = np.einsum("kii,i->k", information, variance_of_image) / 6.0
+    return min(noise.degrees_of_freedom, finest.degrees_of_freedom) * np.square(np.maximum(images, 1.0))
 
 
 def _in_place_of_first(
@@ -180,7 +272,14 @@ def posterior_modes(posterior: PosePosterior) -> tuple[Mode, ...]:
     order = np.argsort(-posterior.weights, kind="stable")
     total = max(float(posterior.weights.sum()), 1e-300)
     verified = np.zeros(len(order), bool) if posterior.verified is None else posterior.verified
+    nu = np.where(verified, posterior.noise.finest.degrees_of_freedom, posterior.noise.degrees_of_freedom)
     return tuple(
-        Mode(posterior.means[k], posterior.covariances[k], float(posterior.weights[k]) / total, bool(verified[k]))
+        Mode(
+            posterior.means[k],
+            posterior.covariances[k],
+            float(posterior.weights[k]) / total,
+            bool(verified[k]),
+            degrees_of_freedom=float(nu[k]) if posterior.calibrated else np.inf,
+        )
         for k in order
     )

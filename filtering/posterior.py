@@ -40,6 +40,8 @@ class PosePosterior:
             none.
         calibrated: Whether the covariances are scale matrices of the noise's Student t distribution, as calibration
             fits them, rather than covariances as somebody states them.
+        prior: Density of training poses at each place, in any unit, above 0, (k,); None for an even one. The weights
+            contain it, which counts once; it is divided out of what further images add.
         mapped: Where landmarks can verify places; None for everywhere. Only the particle filter uses it.
     """
 
@@ -53,6 +55,7 @@ class PosePosterior:
     verified: Bool[np.ndarray, " k"] | None = None
     mapped: MappedViews | None = None
     calibrated: bool = False
+    prior: Float64[np.ndarray, " k"] | None = None
 
     def __post_init__(self) -> None:
         count = len(self.means)
@@ -60,6 +63,8 @@ class PosePosterior:
             raise VaporTrackError(
                 f"posterior: verified has shape {self.verified.shape}, expected ({count},) and errors of such places"
             )
+        if self.prior is not None and not (self.prior.shape == (count,) and (self.prior > 0.0).all()):
+            raise VaporTrackError(f"posterior: prior is {self.prior.tolist()}, expected {count} numbers above 0")
         for name, shape in (("covariances", (count, 6, 6)), ("weights", (count,))):
             values = getattr(self, name)
             if values.shape != shape:
@@ -84,7 +89,7 @@ class PosePosterior:
     ) -> PosePosterior:
         """The places among posterior samples (m,), m ≥ 1, weighted by their fractions of the samples.
 
-        `prior` is that of the network's training, and is divided out of the weights; None where it is even.
+        `prior` is that of the network's training; None where it is even.
 
         Raises:
             VaporTrackError: no sample, or one that is not finite.
@@ -96,11 +101,12 @@ class PosePosterior:
         own = np.flatnonzero(label >= 0)
         means, covariances, _ = group_moments(samples[own], np.ones(len(own)), label[own], count)
         weights = np.bincount(label[own], minlength=count) / len(samples)
-        if prior is not None:
-            weights = prior.divided_out(weights, means)
         growth = noise.growth(ood_score)
         covariances = growth * noise.covariance(covariances)
-        return PosePosterior(means, covariances, weights, noise, samples, ood_score, growth, calibrated=True)
+        density = None if prior is None else prior.density(means)
+        return PosePosterior(
+            means, covariances, weights, noise, samples, ood_score, growth, calibrated=True, prior=density
+        )
 
     @staticmethod
     def from_estimates(
@@ -198,7 +204,7 @@ class PosePosterior:
         """
         network, verified = self.sources
         if not len(verified):
-            return self.noise.possible(self.weights)
+            return self.noise.possible(self.weights if self.prior is None else self.weights / self.prior)
         possible, own = self.noise.finest.possible(self.weights), self.weights[network]
         total = max(float(self.weights[verified].sum()), 1e-300)
         possible[network] = np.minimum(possible[network], own / total)
@@ -208,8 +214,10 @@ class PosePosterior:
     def shares(self) -> Float64[np.ndarray, " k"]:
         """Shares of the places in what the image assigns, 1 in all: by their weights as far as these are calibrated, at
         least by their square roots."""
-        tilt = max(0.5 - self.noise.weight_power, 0.0)
-        shares = self.possible * self.weights**tilt
+        noise = self.noise.finest if self.has_verified else self.noise
+        tilt = max(0.5 - noise.weight_power, 0.0)
+        possible = self.possible if self.has_verified else noise.possible(self.weights)
+        shares = possible * self.weights**tilt
         return shares / max(float(shares.sum()), 1e-300)
 
     @cached_property
@@ -241,6 +249,7 @@ class PosePosterior:
             means=self.means[places],
             covariances=self.covariances[places],
             weights=self.weights[places],
+            prior=None if self.prior is None else self.prior[places],
             noise=self.noise_of(source),
             growth=self.growth if source == 0 else 1.0,
             verified=None,

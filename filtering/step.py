@@ -26,7 +26,6 @@ from filtering.observation import Observation, View
 from filtering.posterior import PosePosterior
 from filtering.prediction import across_gap, with_failures
 from filtering.prediction import predict as predict_hypotheses
-from filtering.se3 import Poses
 from filtering.unchecked import unchecked_replace
 
 _USUAL_S = 10.0  # time over which the usual agreement is averaged
@@ -56,7 +55,8 @@ def step(belief: Belief, observation: Observation, config: LocalizerConfig) -> t
     if informative or novelty > 0.0:
         belief = reduce(belief, config)
     belief = follow_agreement(belief, used, views, config)
-    belief, estimate = describe(belief, views, novelty, config)
+    log_likelihood = sum((one.log_likelihood for one in used), 0.0)
+    belief, estimate = describe(belief, views, novelty, config, log_likelihood=log_likelihood)
     if views:
         belief = unchecked_replace(belief, normalized_distance=0.0)
     return belief, estimate
@@ -82,7 +82,7 @@ def predict(
         belief,
         hypotheses=predict_hypotheses(hypotheses, odometry, config.odometry_bias, distances),
         cameras={name: camera for name, (camera, _) in after.items()},
-        best=None if belief.best is None else belief.best @ odometry.previous_from_current,
+        known=belief.known.moved(odometry.previous_from_current),
         drift=None,
         unseen_s=belief.unseen_s + odometry.duration_s,
         normalized_distance=belief.normalized_distance + distances[0],
@@ -99,10 +99,12 @@ def _across_gap(belief: Belief, elapsed_s: float, gap: GapConfig) -> Belief:
         drift = hypotheses.mean[heaviest, 1:7], hypotheses.covariance[heaviest, DRIFT, DRIFT]
         hypotheses = with_drift(hypotheses, np.zeros(6), np.eye(6))
     forgets = gap.action == "forget"
+    moved = across_gap(hypotheses, gap.velocity, elapsed_s, distances)
     return unchecked_replace(
         belief,
-        hypotheses=across_gap(hypotheses, gap.velocity, elapsed_s, distances),
+        hypotheses=moved,
         cameras={name: camera for name, (camera, _) in after.items()},
+        known=belief.known.carried(hypotheses.poses, moved.poses),
         drift=drift,
         agreement=0.0 if forgets else belief.agreement,
         unseen_s=belief.unseen_s + elapsed_s,
@@ -169,6 +171,7 @@ def measure(belief: Belief, view: View, config: LocalizerConfig) -> tuple[Belief
     hypotheses = hypotheses_of(belief)
     correlations = [Correlation(source.number, source.tracker.normalized_distance) for source in before.sources]
     pairs = gate(hypotheses, posterior, correlations)
+    known = belief.known.innovated(hypotheses, pairs, noise_of(belief), config.modes)
     found = evidence(hypotheses, posterior, pairs, config.outlier_places)
     hypotheses = hypotheses.reweighted(likelihood_power * found.log_likelihood)
     # What is unassigned may be at any place of the image.
@@ -176,7 +179,11 @@ def measure(belief: Belief, view: View, config: LocalizerConfig) -> tuple[Belief
     total = assigned + belief.unassigned
     hypotheses = correct(hypotheses, posterior, pairs, found.outlier).normalized()
     belief = unchecked_replace(
-        belief.with_camera(view.camera, camera), hypotheses=hypotheses, unassigned=belief.unassigned / total
+        belief.with_camera(view.camera, camera),
+        hypotheses=hypotheses,
+        unassigned=belief.unassigned / total,
+        known=known,
+        calibrated=posterior.calibrated,
     )
     return belief, UsedView(posterior, camera, novelty, likelihood_power, float(np.log(total)), found.agreement)
 
@@ -266,7 +273,13 @@ def initialize(belief: Belief, views: Sequence[View], config: LocalizerConfig) -
     if first is None:
         raise VaporTrackError("the first image has no place of any weight, expected at least one")
     agreement = 0.0 if provisional else 1.0
-    new = Belief(belief.rng, agreement=agreement, usual_agreement=agreement, provisional=provisional)
+    new = unchecked_replace(
+        belief.forgotten(),
+        agreement=agreement,
+        usual_agreement=agreement,
+        provisional=provisional,
+        calibrated=first.posterior.calibrated,
+    )
     camera = CameraMemory.first_seen(first, 0, unknown=0.0, adapts=config.adapt_errors)
     new = new.with_camera(first.camera, camera)
     posterior = first.posterior.seen_from(first.reference_from_camera)
@@ -302,15 +315,19 @@ def born_at(posterior: PosePosterior, camera: CameraMemory, belief: Belief, conf
 # --- the estimate --------------------------------------------------------------------------------------
 
 
-def describe(belief: Belief, views: Sequence[View], novelty: float, config: LocalizerConfig) -> tuple[Belief, Estimate]:
-    """The estimate of a belief, and the belief with its best mode kept.
+def describe(
+    belief: Belief, views: Sequence[View], novelty: float, config: LocalizerConfig, *, log_likelihood: float = 0.0
+) -> tuple[Belief, Estimate]:
+    """The estimate of a belief, and the belief with its modes known.
 
     Modes and status are in units of the first camera's noise.
     """
-    hypotheses, noise = hypotheses_of(belief), next(iter(belief.cameras.values())).noise
+    hypotheses, noise = hypotheses_of(belief), noise_of(belief)
+    found = describe_modes(hypotheses, noise, config.modes, calibrated=belief.calibrated)
+    modes, known = belief.known.identify(found, hypotheses, noise, config.modes)
     modes = tuple(
         unchecked_replace(mode, weight=(1.0 - belief.unassigned) * mode.weight)
-        for mode in _ordered(describe_modes(hypotheses, noise, config.modes), belief.best, noise, config)
+        for mode in _ordered(modes, known.best, config)
     )
     estimate = Estimate(
         modes,
@@ -319,25 +336,20 @@ def describe(belief: Belief, views: Sequence[View], novelty: float, config: Loca
         hypotheses.pose_covariance + noise.constant_covariance(hypotheses.pose_covariance),
         hypotheses.log_weights,
         belief.unassigned,
+        log_likelihood,
         belief.agreement,
         novelty,
         belief.normalized_distance,
         max((view.posterior.ood_score for view in views), default=0.0),
     )
-    return unchecked_replace(belief, best=modes[0].world_from_camera), estimate
+    return unchecked_replace(belief, known=unchecked_replace(known, best=modes[0].identity)), estimate
 
 
-def _ordered(
-    modes: tuple[Mode, ...], best: Poses | None, noise: MeasurementNoise, config: LocalizerConfig
-) -> tuple[Mode, ...]:
+def _ordered(modes: tuple[Mode, ...], best: int, config: LocalizerConfig) -> tuple[Mode, ...]:
     """The previous best mode stays first unless another clearly outweighs it."""
-    if best is None or len(modes) == 1:
-        return modes
     for k, mode in enumerate(modes):
-        if config.modes.same_place(best, mode, noise):
-            if modes[0].weight < config.switch_ratio * mode.weight:
-                return (mode, *modes[:k], *modes[k + 1 :])
-            break
+        if mode.identity == best and modes[0].weight < config.switch_ratio * mode.weight:
+            return (mode, *modes[:k], *modes[k + 1 :])
     return modes
 
 
@@ -346,6 +358,11 @@ def _status(best: Mode, belief: Belief, noise: MeasurementNoise, config: Localiz
         return "lost"
     sure = best.weight >= config.converged_weight and best.widest_std_m <= config.widest_std_m(noise)
     return "converged" if sure and belief.agreement >= config.converged_agreement else "ambiguous"
+
+
+def noise_of(belief: Belief) -> MeasurementNoise:
+    """The noise of the first camera of a belief that has begun."""
+    return next(iter(belief.cameras.values())).noise
 
 
 def hypotheses_of(belief: Belief) -> Hypotheses:

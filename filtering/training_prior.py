@@ -42,13 +42,6 @@ class TrainingPrior:
         """Training poses around each of these, by a Gaussian kernel of height 1, (k,)."""
         return np.maximum(self._around(self._embedded(poses)), self._least)
 
-    def divided_out(self, weights: Float64[np.ndarray, " k"], places: Poses) -> Float64[np.ndarray, " k"]:
-        """Weights of places (k,) without this prior, with the same sum."""
-        if len(weights) < 2:
-            return weights
-        likelihood = weights / self.density(places)
-        return likelihood * (weights.sum() / max(float(likelihood.sum()), 1e-300))
-
     @cached_property
     def _least(self) -> float:
         some = self._centres[:: max(1, len(self._centres) // _SOME)]

@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from filtering.config import LocalizerConfig as LocalizerConfig
     from filtering.errors import VaporTrackError as VaporTrackError
     from filtering.estimate import Estimate as Estimate
+    from filtering.estimate import Innovation as Innovation
     from filtering.estimate import Mode as Mode
     from filtering.localizer import ParticleLocalizer as ParticleLocalizer
     from filtering.measurement_noise import MeasurementNoise as MeasurementNoise
@@ -27,9 +28,12 @@ if TYPE_CHECKING:
     from vapor.pipeline.config import RunConfig as RunConfig
     from vapor.pipeline.fuse import fuse as fuse
     from vapor.pipeline.run import run as run
+    from vapor.reporting.modes_file import read_mode_trajectories as read_mode_trajectories
     from vapor.robot.belief import LiveEstimate as LiveEstimate
     from vapor.robot.config import LiveConfig as LiveConfig
     from vapor.robot.live import live as live
+    from vapor.tracking.mode_trajectories import ModeTrajectory as ModeTrajectory
+    from vapor.tracking.mode_trajectories import mode_trajectories as mode_trajectories
     from vapor.training.config import TrainConfig as TrainConfig
     from vapor.training.presets import PRESETS as PRESETS
     from vapor.training.train import train as train
@@ -37,6 +41,8 @@ if TYPE_CHECKING:
 _MODULES = {
     "MeasurementNoise": "filtering.measurement_noise",
     "Estimate": "filtering.estimate",
+    "Innovation": "filtering.estimate",
+    "ModeTrajectory": "vapor.tracking.mode_trajectories",
     "Storeys": "filtering.storeys",
     "LandmarkVerifier": "vapor.landmarks.verify",
     "LiveConfig": "vapor.robot.config",
@@ -59,6 +65,8 @@ _MODULES = {
     "calibrate_model": "vapor.calibration.calibrate",
     "fuse": "vapor.pipeline.fuse",
     "live": "vapor.robot.live",
+    "mode_trajectories": "vapor.tracking.mode_trajectories",
+    "read_mode_trajectories": "vapor.reporting.modes_file",
     "run": "vapor.pipeline.run",
     "train": "vapor.training.train",
 }

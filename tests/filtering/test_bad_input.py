@@ -181,7 +181,7 @@ def test_an_update_that_raises_draws_nothing(monkeypatch):
     seen = seen_at(lifted(Poses.exp(np.array([0.3, 0, 0, 0, 0, 0])), 3.0 * np.arange(6)), [0.15] * 6)
     drawn = localizers[0].belief.rng.bit_generator.state
 
-    def broken(belief, *arguments):
+    def broken(belief, *arguments, **_):
         assert belief.rng.bit_generator.state != drawn  # precondition: it has drawn
         raise KeyboardInterrupt
 

@@ -18,7 +18,7 @@ def believed(poses, weights):
 
 def estimate_of(poses, weights, std=STD):
     covariances = np.repeat(np.diag(np.square(std))[None], len(poses), 0)
-    return Estimate((), "ambiguous", poses, covariances, np.log(weights), 0.0, 1.0, 0.0, 0.0, 0.0)
+    return Estimate((), "ambiguous", poses, covariances, np.log(weights), 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 
 
 def test_hypotheses_of_one_place_are_one_mode_with_their_mean_and_covariance():

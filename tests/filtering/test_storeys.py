@@ -25,7 +25,7 @@ def at_heights(heights_m: list[float]) -> Poses:
 def believing(particles: Poses, weights: np.ndarray) -> Estimate:
     modes = (Mode(particles[0], np.eye(6), 1.0),)
     covariances = np.broadcast_to(np.eye(6), (len(particles), 6, 6))
-    return Estimate(modes, "ambiguous", particles, covariances, np.log(weights), 0.0, 1.0, 0.0, 0.0, 0.0)
+    return Estimate(modes, "ambiguous", particles, covariances, np.log(weights), 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 
 
 def test_a_pose_is_on_the_nearest_storey_also_below_the_lowest_and_above_the_highest():

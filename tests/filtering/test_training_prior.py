@@ -10,7 +10,7 @@ from filtering.se3 import Poses
 from filtering.training_prior import TrainingPrior
 
 FLOOR_M = 3.0
-NOISE = MeasurementNoise(radius_m=0.5, radius_rad=0.5)
+NOISE = MeasurementNoise(radius_m=0.5, radius_rad=0.5, weight_power=1.0)
 
 
 def along_a_corridor(count: int, height_m: float, rng: np.random.Generator) -> Poses:
@@ -40,22 +40,25 @@ def test_a_floor_with_three_times_the_training_images_is_not_preferred():
     plain = PosePosterior.from_samples(samples, NOISE)
     divided = PosePosterior.from_samples(samples, NOISE, prior=prior)
     assert sorted(plain.weights) == pytest.approx([0.25, 0.75], abs=0.02)
-    assert divided.weights == pytest.approx([0.5, 0.5], abs=0.05)
-    assert divided.weights.sum() == pytest.approx(plain.weights.sum())
+    assert (divided.weights == plain.weights).all()  # the first image counts it once,
+    assert sorted(divided.shares) == pytest.approx([0.25, 0.75], abs=0.02)
+    assert divided.possible == pytest.approx([1.0, 1.0], abs=0.15)  # and what follows does not
+    assert min(plain.possible) == pytest.approx(1 / 3, abs=0.03)
 
 
 def test_what_the_image_itself_shows_remains():
     prior = TrainingPrior(of_two_floors(500, 1500), NOISE.radius_m, NOISE.radius_rad)
     clear = PosePosterior.from_samples(seen_on_both(300, 100), NOISE, prior=prior)
-    assert max(clear.weights) == pytest.approx(0.9, abs=0.02)  # 3 to 1 against a prior of 1 to 3
-    assert clear.means.translation[int(np.argmax(clear.weights)), 2] < 0.5 * FLOOR_M
+    assert min(clear.possible) == pytest.approx(1 / 9, abs=0.03)  # 3 to 1 against a prior of 1 to 3
+    assert clear.means.translation[int(np.argmax(clear.possible)), 2] < 0.5 * FLOOR_M
 
 
 def test_directions_count_as_positions_do():
     ahead, back = Poses.identity(90), Poses.exp(np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 3.0], (30, 1)))
     prior = TrainingPrior(Poses.concatenate([ahead, back]), NOISE.radius_m, NOISE.radius_rad)
     places = Poses.concatenate([ahead[:1], back[:1]])
-    assert prior.divided_out(np.array([0.6, 0.2]), places) == pytest.approx([0.4, 0.4], rel=1e-3)
+    many, few = prior.density(places)
+    assert many / few == pytest.approx(3.0, rel=1e-3)
 
 
 def test_a_place_where_nothing_was_trained_counts_as_one_of_the_rarest_that_was():
@@ -75,8 +78,6 @@ def test_it_is_the_same_far_from_the_origin_and_at_any_scale():
     assert TrainingPrior(moved[0], 500.0, 0.5).density(moved[1]) == pytest.approx(here, rel=1e-3)
 
 
-def test_one_place_keeps_its_weight_and_a_prior_of_no_pose_is_an_error():
-    prior = TrainingPrior(Poses.identity(1), 0.5, 0.5)
-    assert prior.divided_out(np.array([0.7]), Poses.identity(1)) == [0.7]
+def test_a_prior_of_no_pose_is_an_error():
     with pytest.raises(VaporTrackError, match="at least one pose"):
         TrainingPrior(Poses.identity(0), 0.5, 0.5)

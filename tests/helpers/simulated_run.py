@@ -50,13 +50,16 @@ def simulated_steps(count=200, *, seed=0, with_truth=True, start_ns=1_700_000_00
         order = [best, *(f for f in np.argsort(-weights) if f != best and weights[f] > 0.02)]
         covariance = np.diag([0.01] * 3 + [0.003] * 3)
         modes = tuple(
-            Mode(_moved(truth[i], FLOOR_M * (f - storey), 0.03, rng), covariance, float(weights[f])) for f in order
+            Mode(_moved(truth[i], FLOOR_M * (f - storey), 0.03, rng), covariance, float(weights[f]), identity=int(f))
+            for f in order
         )
         status = "converged" if weights.max() > 0.8 else "lost" if i < 6 else "ambiguous"
         log_weights = np.full(500, -np.log(500))
         covariances = np.broadcast_to(np.diag([1e-6] * 6), (500, 6, 6))
         agreement, ood_score = 1.0 - 0.5 * belief, 0.1 * rng.random()
-        estimate = Estimate(modes, status, particles, covariances, log_weights, 0.0, agreement, 0.1, 0.1, ood_score)
+        estimate = Estimate(
+            modes, status, particles, covariances, log_weights, 0.0, 0.0, agreement, 0.1, 0.1, ood_score
+        )
         places = (Mode(single, covariance, 1.0),)
         observation = Observation.of_posterior(PosePosterior.uninformative(), odometry)
         yield frame, Step(observation, estimate, places, (), {}, 20.0 + rng.random())

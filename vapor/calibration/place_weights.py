@@ -49,7 +49,8 @@ class PlaceWeights:
             metres, radians = posterior.means.distance(truth)
             offset = posterior.means.between(truth).log()
             solved = np.linalg.solve(posterior.covariances, offset[..., None])[..., 0]
-            relative.append(posterior.weights / posterior.weights.max())
+            likelihood = posterior.weights if posterior.prior is None else posterior.weights / posterior.prior
+            relative.append(likelihood / likelihood.max())
             right.append(np.square(metres / noise.radius_m) + np.square(radians / noise.radius_rad) < 1.0)
             squared.append(np.vecdot(offset, solved))
         image = np.repeat(np.arange(len(posteriors)), [len(each) for each in relative])
@@ -90,7 +91,8 @@ class PlaceWeights:
         begins = np.flatnonzero(np.diff(self.image, prepend=-1))
         stated, right = [], []
         for posterior, begin in zip(self.posteriors, begins, strict=True):
-            shares = replace(posterior, noise=noise).shares
+            possible = replace(posterior, noise=noise).possible
+            shares = possible / possible.sum()
             best = int(np.argmax(shares))
             stated.append((1.0 - noise.outlier_probability) * float(posterior.weights.sum() * shares[best]))
             right.append(self.right[begin + best])

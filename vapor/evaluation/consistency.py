@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
-from scipy.special import chdtri
 
-from filtering.estimate import STATUSES, Mode
+from filtering.estimate import STATUSES, Mode, squared_radius
 from filtering.se3 import Poses
 from sequences.frame import Trajectory
 from vapor.evaluation.reliability import Reliability
@@ -20,7 +19,7 @@ from vapor.evaluation.trajectory import associate, is_right, stays_right
 from vapor.tracking.loop import Belief
 
 REGIONS: Mapping[str, float] = MappingProxyType({"50%": 0.5, "90%": 0.9, "95%": 0.95})
-"""Regions of a mode's Gaussian, by the probability that they hold."""
+"""Regions of a mode, by the probability that they hold."""
 
 JUMP_M = 1.0
 """A false recovery takes the best mode at least this far from the truth."""
@@ -29,17 +28,22 @@ _LEAST_VARIANCE = 1e-12  # of a mode whose particles coincide: a micrometre, a m
 
 
 def evaluate_consistency(
-    estimate: Trajectory, covariance: Float64[np.ndarray, "n 6 6"], converged: Bool[np.ndarray, " n"], truth: Trajectory
+    estimate: Trajectory,
+    covariance: Float64[np.ndarray, "n 6 6"],
+    degrees_of_freedom: Float64[np.ndarray, " n"],
+    converged: Bool[np.ndarray, " n"],
+    truth: Trajectory,
 ) -> dict[str, Any]:
     """Whether a filter is as good as it reports, over the images with status "converged".
 
-    Best modes (n,) are world_from_camera, with covariances in the tangent at the mode, ξ = (v, ω).
+    Best modes (n,) are world_from_camera, with covariances in the tangent at the mode, ξ = (v, ω), and degrees of
+    freedom (`Mode.degrees_of_freedom`).
 
     Returns:
         `images`: number with that status and a true pose. `wrong`: the fraction of them that are not right (`RIGHT`).
-        `coverage`: for each of the 50, 90 and 95 % regions of the best mode's Gaussian the fraction of them with the
-        true pose inside. `median_nees`: median normalised estimation error squared, ξᵀ Σ⁻¹ ξ, 5.35 for a true
-        covariance (Bar-Shalom et al. 2001, §5.4). All but `images` are None where that is 0.
+        `coverage`: for each of the 50, 90 and 95 % regions of the best mode (`Mode.squared_radius`) the fraction of
+        them with the true pose inside. `median_nees`: median normalised estimation error squared, ξᵀ Σ⁻¹ ξ, 5.35 for a
+        true covariance (Bar-Shalom et al. 2001, §5.4). All but `images` are None where that is 0.
     """
     found, true_poses = associate(estimate.times_ns, truth)
     sure = converged[found]
@@ -50,10 +54,13 @@ def evaluate_consistency(
     error = (best.inverse() @ true_poses).log()
     regular = covariance[found][sure] + _LEAST_VARIANCE * np.eye(6)
     nees = np.einsum("ni,ni->n", error, np.linalg.solve(regular, error[..., None])[..., 0])
+    nu = degrees_of_freedom[found][sure]
     return {
         "images": images,
         "wrong": float(np.mean(~is_right(best, true_poses))),
-        "coverage": {name: float(np.mean(nees <= chdtri(6, 1 - probability))) for name, probability in REGIONS.items()},
+        "coverage": {
+            name: float(np.mean(nees <= squared_radius(probability, nu))) for name, probability in REGIONS.items()
+        },
         "median_nees": float(np.median(nees)),
     }
 
@@ -90,6 +97,7 @@ def evaluate_belief(
     best = belief.best
     trajectory, true_trajectory = Trajectory(times_ns, best), Trajectory(times_ns, truth)
     covariance = np.stack([modes[0].covariance for modes in belief.modes])
+    nu = np.array([modes[0].degrees_of_freedom for modes in belief.modes])
     counts = Counter(belief.status)
     sure = np.array([status == "converged" for status in belief.status])
     elapsed_s = (times_ns - times_ns[0]) / 1e9
@@ -104,7 +112,7 @@ def evaluate_belief(
         kidnap = {"right_before": bool(right[kidnap_index - 1]), "images": images}
     return {
         "status": {name: counts[name] / len(sure) for name in STATUSES},
-        **{name: evaluate_consistency(trajectory, covariance, of, true_trajectory) for name, of in over.items()},
+        **{name: evaluate_consistency(trajectory, covariance, nu, of, true_trajectory) for name, of in over.items()},
         "truth_among_modes": truth_among_modes(belief.modes, truth),
         "reliability": {
             f"{each.low:.1f}": {"images": each.images, "stated": each.stated, "right": each.right}

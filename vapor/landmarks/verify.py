@@ -123,6 +123,7 @@ def verified(
         covariances=np.concatenate([covariances, posterior.covariances]),
         weights=np.concatenate([scores, posterior.weights]) / total,
         verified=np.arange(len(found) + len(posterior.weights)) < len(found),
+        prior=None,
         ood_score=min(posterior.ood_score, OUT_OF_DISTRIBUTION),
         mapped=mapped,
     )

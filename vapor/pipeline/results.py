@@ -23,7 +23,8 @@ _PACKAGES = ("vapor-track", "torch", "numpy", "scipy", "filterpy", "gtsam", "ope
 RESULTS = frozenset(
     {
         *FILES.values(),
-        *("smoothed_second.tum", "ground_truth.tum", "status.csv", "config.json", "estimate.mcap", "recording.rrd"),
+        *("smoothed_second.tum", "ground_truth.tum", "status.csv", "modes.csv", "config.json"),
+        *("estimate.mcap", "recording.rrd"),
         *("report.html", "report.json"),
     }
 )

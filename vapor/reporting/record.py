@@ -150,10 +150,14 @@ class RunRecord:
             the best mode of each one's posterior. Dead reckoning starts at the first true pose, or else at the first
             estimate, and again after a gap in the odometry.
         covariance: Covariance of ξ = (v, ω) in the tangent at the filter's best mode, metres and radians, (n, 6, 6).
+        degrees_of_freedom: Of that mode, see `Mode`, (n,).
+        innovation: Normalised innovation squared per degree of freedom of that mode, (n,); NaN where there is none.
         status: The filter's own status, (n,).
         num_modes: Number of hypotheses, (n,).
         best_weight: Weight of the reported hypothesis, (n,).
         num_particles: Number of particles, (n,).
+        unassigned: Probability that the camera is at none of the hypotheses, (n,).
+        log_likelihood: Log marginal likelihood of each image, see `Estimate`, (n,).
         agreement: Fraction of the belief that the latest images fitted, (n,).
         ood_score: How unlike the training data each image was, see `PosePosterior`, (n,).
         step_ms: Wall-clock milliseconds of each step, (n,).
@@ -173,10 +177,14 @@ class RunRecord:
     times_ns: Int64[np.ndarray, " n"]
     methods: Mapping[str, Trajectory]
     covariance: Float64[np.ndarray, "n 6 6"]
+    degrees_of_freedom: Float64[np.ndarray, " n"]
+    innovation: Float64[np.ndarray, " n"]
     status: tuple[Status, ...]
     num_modes: Int64[np.ndarray, " n"]
     best_weight: Float64[np.ndarray, " n"]
     num_particles: Int64[np.ndarray, " n"]
+    unassigned: Float64[np.ndarray, " n"]
+    log_likelihood: Float64[np.ndarray, " n"]
     agreement: Float64[np.ndarray, " n"]
     ood_score: Float64[np.ndarray, " n"]
     step_ms: Float64[np.ndarray, " n"]
@@ -209,7 +217,7 @@ class RunRecorder:
         self._truth: list[tuple[int, Poses]] = []
         self._covariance: list[np.ndarray] = []
         self._status: list[Status] = []
-        self._numbers: list[tuple[int, float, int, float, float, float]] = []
+        self._numbers: list[tuple[float, ...]] = []
         self._keyframes: list[Keyframe] = []
         self._moments: EvenlySpaced[Moment] = EvenlySpaced(MOST_MOMENTS)
 
@@ -235,6 +243,10 @@ class RunRecorder:
                 len(estimate.modes),
                 best.weight,
                 len(estimate.particles),
+                best.degrees_of_freedom,
+                np.nan if best.innovation is None else best.innovation.squared / best.innovation.degrees_of_freedom,
+                estimate.unassigned,
+                estimate.log_likelihood,
                 estimate.agreement,
                 estimate.ood_score,
                 step.step_ms,
@@ -265,7 +277,9 @@ class RunRecorder:
         """
         if not self._times_ns:
             raise VaporTrackError(f"no image was localized, {sum((skipped or {}).values())} were skipped")
-        num_modes, best_weight, num_particles, agreement, ood_score, step_ms = np.array(self._numbers, float).T
+        numbers = np.array(self._numbers, float).T
+        num_modes, best_weight, num_particles, degrees_of_freedom, innovation = numbers[:5]
+        unassigned, log_likelihood, agreement, ood_score, step_ms = numbers[5:]
         truth = None
         if self._truth:
             truth_ns, true_poses = zip(*self._truth, strict=True)
@@ -276,10 +290,14 @@ class RunRecorder:
             times_ns=times_ns,
             methods={name: Trajectory(times_ns, Poses.stack(poses)) for name, poses in in_order(methods).items()},
             covariance=np.stack(self._covariance),
+            degrees_of_freedom=degrees_of_freedom,
+            innovation=innovation,
             status=tuple(self._status),
             num_modes=num_modes.astype(np.int64),
             best_weight=best_weight,
             num_particles=num_particles.astype(np.int64),
+            unassigned=unassigned,
+            log_likelihood=log_likelihood,
             agreement=agreement,
             ood_score=ood_score,
             step_ms=step_ms,

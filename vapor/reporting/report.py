@@ -71,7 +71,7 @@ def build_report(record: RunRecord) -> dict[str, Any]:
         report |= evaluate_methods(record.methods, record.truth)
         converged = np.array([status == "converged" for status in record.status])
         report["consistency"] = evaluate_consistency(
-            record.methods["filter"], record.covariance, converged, record.truth
+            record.methods["filter"], record.covariance, record.degrees_of_freedom, converged, record.truth
         )
     if record.look_back is not None:
         report["hindsight"] = _hindsight(record, record.look_back)
@@ -117,18 +117,24 @@ def write_status(path: Path, record: RunRecord) -> None:
     """Write how good the pose of each image is, as CSV.
 
     `status`, `std_m`, `std_deg`: the filter's status, and standard deviations of its pose along the widest axis of
-    position and rotation. `smoothed`: whether the images about the smoothed pose fit it, `fits` or `doubtful`; or
-    `ambiguous` where the second trajectory is at another place. `smoothed_std_m`, `smoothed_std_deg`: of the smoothed
-    pose. `carried_off`: 1 where the camera was carried off before the image.
+    position and rotation. `unassigned`: probability that the camera is at none of the hypotheses. `log_likelihood`: see
+    `Estimate`. `innovation`: normalised innovation squared of the best mode per degree of freedom; empty without one.
+    `smoothed`: whether the images about the smoothed pose fit it, `fits` or `doubtful`; or `ambiguous` where the second
+    trajectory is at another place. `smoothed_std_m`, `smoothed_std_deg`: of the smoothed pose. `carried_off`: 1 where
+    the camera was carried off before the image.
     """
     columns = [format_time(time_ns) for time_ns in record.times_ns.tolist()], record.status, *_widest(record.covariance)
+    columns += tuple([f"{each:.4f}" for each in values] for values in (record.unassigned, record.log_likelihood))
+    columns += (["" if np.isnan(each) else f"{each:.3f}" for each in record.innovation],)
     if (back := record.look_back) is None:
         columns += ([""] * len(record.times_ns),) * 4
     else:
         fits = np.where(back.agreement < FITS, "doubtful", np.where(back.ambiguous, "ambiguous", "fits"))
         columns += (fits, *_widest(back.trajectories["smoothed"].covariance), back.carried_off.astype(int))
     with atomic_output(path) as partial, open(partial, "w", encoding="ascii") as file:
-        file.write("time,status,std_m,std_deg,smoothed,smoothed_std_m,smoothed_std_deg,carried_off\n")
+        file.write(
+            "time,status,std_m,std_deg,unassigned,log_likelihood,innovation,smoothed,smoothed_std_m,smoothed_std_deg,carried_off\n"
+        )
         file.writelines(",".join(map(str, row)) + "\n" for row in zip(*columns, strict=True))
 
 

@@ -57,6 +57,7 @@ def log_run_styles(stream: rr.RecordingStream, place: Place | None, *, live: boo
         stream.log(f"world/path/{name}", style, static=True)
     lines = {
         "belief/best_weight": ("weight of the best hypothesis", BEST),
+        "belief/unassigned": ("at none of the modes", _VIOLET),
         "belief/agreement": ("agreement of the images", _GREEN),
     }
     for name in ERROR_CURVES:

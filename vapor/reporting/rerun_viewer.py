@@ -180,7 +180,11 @@ class RerunViewer:
     def _log_plots(self, frame: Frame, estimate: Estimate) -> None:
         import rerun as rr
 
-        plotted = {"belief/best_weight": estimate.modes[0].weight, "belief/agreement": estimate.agreement}
+        plotted = {
+            "belief/best_weight": estimate.modes[0].weight,
+            "belief/unassigned": estimate.unassigned,
+            "belief/agreement": estimate.agreement,
+        }
         if frame.world_from_camera is not None:
             position, rotation = _log_errors(estimate.modes[0].world_from_camera, frame.world_from_camera)
             plotted |= {"error/position/filter": float(position), "error/rotation/filter": float(rotation)}

@@ -1,4 +1,4 @@
-"""Outputs of every image after the filter: baselines, `estimate.mcap`, the Rerun viewer, the record."""
+"""Outputs of every image after the filter: baselines, `estimate.mcap`, `modes.csv`, the Rerun viewer, the record."""
 
 from __future__ import annotations
 
@@ -12,10 +12,12 @@ import numpy as np
 from jaxtyping import Int64
 
 from filtering.errors import VaporTrackError
+from sequences.atomic import atomic_output
 from sequences.errors import SequenceError
 from sequences.frame import Frame
 from sequences.reading.counts import ImageCounts
 from sequences.recordings.estimate_messages import PUBLISHED_PARTICLES, EstimateWriter
+from vapor.reporting.modes_file import COLUMNS, write_modes
 from vapor.reporting.record import RunRecord, RunRecorder
 from vapor.reporting.rerun_place import Place
 from vapor.reporting.rerun_viewer import RerunViewer
@@ -26,7 +28,8 @@ from vapor.tracking.loop import Step
 class RunOutputs:
     """Writes and shows a run image by image; used in a `with` block, so that an error leaves nothing half-written.
 
-    `estimate.mcap`, and `recording.rrd` if asked for, go into the directory; `view` opens the Rerun viewer.
+    `estimate.mcap`, `modes.csv`, and `recording.rrd` if asked for, go into the directory; `view` opens the Rerun
+    viewer.
 
     Raises:
         SequenceError: the folder is missing or cannot be written to.
@@ -40,6 +43,9 @@ class RunOutputs:
             viewer = RerunViewer(path, spawn=view, place=place) if recording or view else None
             self._viewer = None if viewer is None else block.enter_context(viewer)
             self._writer = block.enter_context(EstimateWriter(directory / "estimate.mcap"))
+            partial = block.enter_context(atomic_output(directory / "modes.csv"))
+            self._modes = block.enter_context(open(partial, "w", encoding="ascii"))
+            self._modes.write(f"{COLUMNS}\n")
             self._block = block.pop_all()
 
     def __enter__(self) -> RunOutputs:
@@ -58,6 +64,10 @@ class RunOutputs:
         """
         estimate = step.estimate
         self._recorder.add(frame, step)
+        try:
+            write_modes(self._modes, frame.time_ns, estimate.modes)
+        except OSError as error:
+            raise SequenceError(f"{self._modes.name}: cannot write: {error.strerror or error}") from error
         modes = [(mode.world_from_camera, mode.covariance, mode.weight) for mode in estimate.modes]
         try:
             self._writer.write(frame.time_ns, modes, estimate.cloud(PUBLISHED_PARTICLES))

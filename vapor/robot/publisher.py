@@ -68,6 +68,8 @@ def diagnostics_message(
             "weight of the best mode": f"{best.weight:.4f}",
             "modes": len(estimate.modes),
             "standard deviation, m": f"{best.widest_std_m:.4f}",
+            "at none of the modes": f"{estimate.unassigned:.4f}",
+            "log likelihood of the image": f"{estimate.log_likelihood:.4f}",
             "agreement of the images": f"{estimate.agreement:.4f}",
             "OOD score of the image": f"{estimate.ood_score:.4f}",
         }

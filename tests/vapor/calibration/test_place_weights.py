@@ -95,4 +95,3 @@ def test_a_fit_divides_the_training_out_before_it_trusts_weights():
     )
     assert divided.weight_power > plain.weight_power + 0.2
     assert divided.noise.weight_power == 0.0  # of a walk little is known by single images
-    assert divided.reliability.expected_error < plain.reliability.expected_error

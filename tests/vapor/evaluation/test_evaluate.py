@@ -160,7 +160,7 @@ def test_errors_drawn_from_the_stated_covariance_are_consistent_and_from_a_wider
     figures = {}
     for scale in (1.0, 2.0):
         best = Trajectory(truth.times_ns, truth.poses @ Poses.exp(-scale * error))
-        figures[scale] = evaluate_consistency(best, covariance, np.ones(4000, bool), truth)
+        figures[scale] = evaluate_consistency(best, covariance, np.full(4000, np.inf), np.ones(4000, bool), truth)
     assert figures[1.0]["images"] == 4000
     beyond = (np.linalg.norm(Poses.exp(-error).translation, axis=1) > 0.3).mean()  # none turned by 20 degrees
     assert 0.0 < figures[1.0]["wrong"] == pytest.approx(beyond, abs=1e-12)
@@ -176,14 +176,14 @@ def test_consistency_counts_only_images_that_are_said_to_be_converged():
     off = np.where(np.arange(10) % 2 == 0, 0.6, 0.0)
     estimate = shifted(truth, off, np.zeros(10))
     covariance = np.broadcast_to(0.01 * np.eye(6), (10, 6, 6))
-    figures = evaluate_consistency(estimate, covariance, converged, truth)
+    figures = evaluate_consistency(estimate, covariance, np.full(10, np.inf), converged, truth)
     assert figures == {
         "images": 4,
         "wrong": 0.5,
         "coverage": {"50%": 0.5, "90%": 0.5, "95%": 0.5},
         "median_nees": pytest.approx(18.0),
     }
-    nothing = evaluate_consistency(estimate, covariance, np.zeros(10, bool), truth)
+    nothing = evaluate_consistency(estimate, covariance, np.full(10, np.inf), np.zeros(10, bool), truth)
     assert nothing == {"images": 0, "wrong": None, "coverage": None, "median_nees": None}
 
 

@@ -29,6 +29,7 @@ from tests.helpers.tf_files import robot, stamps
 from tests.helpers.tiny_model import SMALL
 from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
 from vapor.observation import VaporObservationModel
+from vapor.reporting.modes_file import read_mode_trajectories
 from vapor.track import main
 
 TRAJECTORIES = {
@@ -38,7 +39,8 @@ TRAJECTORIES = {
 WITH_TRUTH = {"ground_truth.tum"}
 
 FILES = TRAJECTORIES | {
-    "smoothed_second.tum", "estimate.mcap", "config.json", "report.html", "report.json", "manifest.json", "status.csv",
+    "smoothed_second.tum", "estimate.mcap", "config.json", "report.html", "report.json", "manifest.json", "modes.csv",
+    "status.csv",
 }  # fmt: skip
 
 METRICS = {"median_translation_m", "median_rotation_deg", "ape_rmse_m", "recall", "position_recall", "worse_than"}
@@ -152,6 +154,9 @@ def test_the_status_says_of_every_pose_what_is_to_be_thought_of_it(finished):
         "status",
         "std_m",
         "std_deg",
+        "unassigned",
+        "log_likelihood",
+        "innovation",
         "smoothed",
         *("smoothed_std_m", "smoothed_std_deg", "carried_off"),
     ]
@@ -166,6 +171,22 @@ def test_the_status_says_of_every_pose_what_is_to_be_thought_of_it(finished):
     told = f"{smoothed['doubtful']} of 25 smoothed poses are doubtful: images about them do not fit (status.csv)"
     assert (told in finished.printed) == (smoothed["doubtful"] > 0)
     assert all(0.0 < float(row["std_m"]) < 1e4 and 0.0 < float(row["std_deg"]) < 1e4 for row in rows)
+
+
+def test_the_best_modes_of_all_images_are_the_trajectory(finished):
+    modes = read_mode_trajectories(finished.directory / "modes.csv").values()
+    best = {
+        time_ns: position
+        for mode in modes
+        for time_ns, position in zip(
+            mode.trajectory.times_ns[mode.ranks == 0].tolist(),
+            mode.trajectory.poses.translation[mode.ranks == 0],
+            strict=True,
+        )
+    }
+    filtered = read_tum(finished.directory / "trajectory.tum")
+    positions = np.array([best[time_ns] for time_ns in filtered.times_ns.tolist()])
+    np.testing.assert_allclose(positions, filtered.poses.translation, atol=1e-6)
 
 
 def test_evaluate_refuses_files_that_are_not_those_of_the_run(finished, tmp_path, capsys):

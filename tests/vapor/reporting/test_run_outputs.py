@@ -17,7 +17,7 @@ def test_an_error_of_the_loop_leaves_nothing(tmp_path):
     def fail():
         with outputs_into(tmp_path) as outputs:
             outputs.add(*next(simulated_steps(1)))
-            assert len(list(tmp_path.iterdir())) == 2  # hidden folders
+            assert len(list(tmp_path.iterdir())) == 3  # hidden folders
             raise OSError("camera unplugged")
 
     with pytest.raises(OSError, match="camera unplugged"):

@@ -102,7 +102,9 @@ def test_a_pose_has_its_covariance_about_the_axes_of_its_frame():
 def test_diagnostics_say_the_storey_and_how_much_of_the_belief_is_on_each():
     particles = Poses(np.tile(np.eye(3), (3, 1, 1)), np.array([[0.0, 0, 7.1], [0, 0, 3.9], [0, 0, 0.2]]))
     modes, covariances = (Mode(particles[2], np.eye(6), 0.7),), np.tile(np.eye(6), (3, 1, 1))
-    estimate = Estimate(modes, "ambiguous", particles, covariances, np.log([0.5, 0.4, 0.1]), 0.0, 1.0, 0.0, 0.0, 0.0)
+    estimate = Estimate(
+        modes, "ambiguous", particles, covariances, np.log([0.5, 0.4, 0.1]), 0.0, 0.0, 1.0, 0.0, 0.0, 0.0
+    )
     told = []
     for storeys in (Storeys((0.0, 4.0, 7.0)), None):
         message = diagnostics_message(0, hardware="m", estimate=estimate, silent=None, values={}, storeys=storeys)

@@ -249,12 +249,14 @@ def error_plot(record: RunRecord) -> Block | None:
 
 
 def belief_plot(record: RunRecord) -> Block:
-    """How sure the filter was, over time: weight of the best mode, agreement of the images, number of modes."""
+    """How sure the filter was, over time: weight of the best mode, mass at none of the modes, agreement of the images,
+    deviation."""
     some = _evenly(len(record.times_ns), _MOST_TIMES)
     seconds = ((record.times_ns[some] - record.times_ns[0]) / 1e9).round(3).tolist()
     position_m = np.sqrt(np.linalg.eigvalsh(record.covariance[some, :3, :3])[:, -1])
     curves = (
         ("weight of the best mode", record.best_weight[some], COLORS["filter"], "y"),
+        ("at none of the modes", record.unassigned[some], "#cc79a7", "y"),
         ("agreement of the images", record.agreement[some], "#009e73", "y"),
         ("standard deviation of the best mode [m]", np.maximum(position_m, _LEAST), COLORS["filter"], "y2"),
     )
