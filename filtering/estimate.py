@@ -131,6 +131,10 @@ class ModeConfig:
             min_weight=(0.0, 1.0),
         )
 
+    def same_place(self, poses: Poses, mode: Mode, noise: MeasurementNoise) -> Bool[np.ndarray, "*n"]:
+        """Which poses (any batch) lie within the reach of a mode, along each of its camera's axes."""
+        return _within(mode.world_from_camera.between(poses).log(), self.reach(noise, mode.covariance))
+
     def reach(self, noise: MeasurementNoise, covariance: Float64[np.ndarray, "*n 6 6"]) -> Float64[np.ndarray, "*n 6"]:
         """How far modes with these covariances reach, along and about each of their axes, metres and radians."""
         reach = self.radius * noise.ordinary_std(covariance)

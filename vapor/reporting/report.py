@@ -89,7 +89,8 @@ def _hindsight(record: RunRecord, look_back: LookBack) -> dict[str, Any]:
         fits = (look_back.agreement >= FITS) & ~look_back.ambiguous
         for name, trajectory in look_back.trajectories.items():
             key = "consistency" if name == "smoothed" else f"{name}_consistency"
-            part[key] = evaluate_consistency(record.methods[name], trajectory.covariance, fits, record.truth)
+            gaussian = np.full(len(fits), np.inf)  # of many images
+            part[key] = evaluate_consistency(record.methods[name], trajectory.covariance, gaussian, fits, record.truth)
     return part
 
 
