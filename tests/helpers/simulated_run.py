@@ -62,7 +62,7 @@ def simulated_steps(count=200, *, seed=0, with_truth=True, start_ns=1_700_000_00
         )
         places = (Mode(single, covariance, 1.0),)
         observation = Observation.of_posterior(PosePosterior.uninformative(), odometry)
-        yield frame, Step(observation, estimate, places, (), {}, 20.0 + rng.random())
+        yield frame, Step(observation, estimate, places, {}, 20.0 + rng.random())
 
 
 def simulated_record(count=200, **options) -> RunRecord:

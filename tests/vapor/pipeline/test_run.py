@@ -39,7 +39,7 @@ TRAJECTORIES = {
 WITH_TRUTH = {"ground_truth.tum"}
 
 FILES = TRAJECTORIES | {
-    "smoothed_second.tum", "estimate.mcap", "config.json", "report.html", "report.json", "manifest.json", "modes.csv",
+    "estimate.mcap", "config.json", "report.html", "report.json", "manifest.json", "modes.csv",
     "status.csv",
 }  # fmt: skip
 
