@@ -36,6 +36,7 @@ _LOG_SPREAD, _LOG_NOISE_FLOOR, _LOG_DEGREES_OF_FREEDOM, _LOGIT_OUTLIERS = (
 _LIMITS = (_LOG_SPREAD, *[_LOG_NOISE_FLOOR] * 6, _LOGIT_OUTLIERS, _LOG_DEGREES_OF_FREEDOM)
 _PULL, _PULLED_TO = 1e-4, np.log(0.02)  # weak prior of the noise floor's logarithms, decisive without data
 _POWERS = np.linspace(0.0, 1.5, 13)  # powers of the score that are tried
+_ALONG_A_WALK = 0.4  # of the power of weights of single images: a preference lasts for longer than mistakes show
 LEAST_IMAGES = 20
 """Least number of images for a fit."""
 LEAST_OUTLIERS = 0.05
@@ -181,9 +182,7 @@ def ordinary_score(score: Float64[np.ndarray, " n"]) -> float:
 @dataclass(frozen=True)
 class ErrorFit:
     """Fitted errors of posteriors, with the coverage of their 50, 90 and 95 % regions, the reliability of their best
-    places, and what the log ratio of two weights of a single image is worth.
-
-    The noise keeps its own `weight_power`: a preference lasts along a walk for longer than mistakes show."""
+    places, and what the log ratio of two weights of a single image is worth."""
 
     noise: MeasurementNoise
     changes: tuple[Change, ...]
@@ -263,7 +262,7 @@ def fit_errors(
     votes = ErrorCorrelation(1.0, longer * correlated.length_m, longer * correlated.length_rad)
     worth = effective_images(travel, votes) / len(held_out.truth)
     power, _ = weights.fitted_power(noise, worth)
-    noise = replace(noise, outlier_lengths=mistaken(noise))
+    noise = replace(noise, outlier_lengths=mistaken(noise), weight_power=_ALONG_A_WALK * power)
     places_before = Places.near(held_out.samples, held_out.truth, before.radius_m, before.radius_rad)
     if held_out.score is not None:
         places_before = places_before.grown(before, held_out.score)

@@ -103,7 +103,10 @@ def show_calibration(result: CalibrationResult) -> None:
         show(f"true poses in the {levels} % regions of single images: {found}")
     if result.reliability is not None:
         show(_reliability_table(result.reliability))
-        show(f"the log ratio of two weights of a single image is worth {result.weight_power:.2f} of itself")
+        show(
+            f"the log ratio of two weights of a single image is worth {result.weight_power:.2f} of itself, along a walk"
+            f" {result.calibration.errors.weight_power:.2f}"
+        )
     if result.calibration.odometry is not None and result.odometry != "none":
         show(f"{result.odometry}: {result.calibration.odometry}")
     for note in result.notes:

@@ -94,4 +94,4 @@ def test_a_fit_divides_the_training_out_before_it_trusts_weights():
         for poses in (None, trained)
     )
     assert divided.weight_power > plain.weight_power + 0.2
-    assert divided.noise.weight_power == 0.0  # of a walk little is known by single images
+    assert divided.noise.weight_power == 0.4 * divided.weight_power  # of a walk less is known by single images
