@@ -92,7 +92,7 @@ class LocalizerConfig:
     odometry_failures_per_s: float = 0.02
     """Rate at which odometry goes wrong: wheels slip or are stuck, a scale triples, a pose jumps."""
     gap: GapConfig = field(default_factory=GapConfig)
-    """Motion where odometry is missing, or wrong."""
+    """Motion where odometry is missing."""
     modes: ModeConfig = field(default_factory=ModeConfig)
     """Which hypotheses are reported as one mode."""
     late_window_s: float = 0.5

@@ -156,6 +156,7 @@ class PosePosterior:
             weights=self.weights[kept],
             samples=self.means[kept],
             verified=None if self.verified is None else self.verified[kept],
+            prior=None if self.prior is None else self.prior[kept],
         )
 
     def without_places(self) -> PosePosterior:

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from filtering.hypotheses import BIAS, DRIFT, POSE, Hypotheses, blocks, concatenate, with_drift
+from filtering.measurement_noise import MeasurementNoise
 from filtering.moments import settle
 from filtering.motion import Odometry, OdometryBias
 from filtering.se3 import Poses
@@ -16,7 +17,7 @@ from filtering.unchecked import unchecked_replace
 _WIDEST_RAD = 2.0  # standard deviation: all directions
 _LONGEST_S = 1e10  # three centuries
 _HEAVY = 0.3  # of a belief: hypotheses for which odometry may go wrong
-_SLIP = 0.2  # of the unknown velocity: wheels that slip err by some of it
+_SLIP_PER_S = 0.5  # new views: wheels that slip, or are stuck, err by so many
 _MOST_FAILED = 0.1  # of a hypothesis, in one motion
 _FARTHEST = 1e6  # standard deviations of the drift
 
@@ -95,17 +96,17 @@ def predict(
 
 
 def with_failures(
-    hypotheses: Hypotheses, odometry: Odometry, odometry_bias: OdometryBias, velocity: OdometryBias, rate_per_s: float
+    hypotheses: Hypotheses, odometry: Odometry, odometry_bias: OdometryBias, noise: MeasurementNoise, rate_per_s: float
 ) -> Hypotheses:
     """The same, and for each heavy one another with a small part of its weight: odometry goes wrong from here on.
 
-    The drift of these is the unknown velocity of the camera less what odometry reports.
+    The drift of these is as large as what odometry reports, or as half a new view a second.
 
     Args:
         hypotheses: Before the motion.
         odometry: The motion.
         odometry_bias: Its bias.
-        velocity: `GapConfig.velocity`.
+        noise: Of the images, whose lengths make a view a new one.
         rate_per_s: Rate at which odometry goes wrong.
     """
     duration_s = odometry.duration_s
@@ -113,7 +114,8 @@ def with_failures(
     unit = drift_of(odometry, odometry_bias)
     if rate_per_s * duration_s <= 0.0 or not len(heavy) or not unit.all():
         return hypotheses
-    wrong = np.hypot(_SLIP * np.asarray(velocity.drift) * duration_s, odometry.tangent)
+    lengths = np.repeat([noise.length_m, noise.length_rad], 3)
+    wrong = np.hypot(_SLIP_PER_S * duration_s * lengths, odometry.tangent)
     failed = with_drift(hypotheses[heavy], np.zeros(6), np.diag(np.square(np.minimum(wrong / unit, _FARTHEST))))
     part = -np.expm1(-min(rate_per_s * duration_s, _MOST_FAILED))
     log_weights = hypotheses.log_weights.copy()

@@ -77,7 +77,8 @@ def predict(
         hypotheses = with_drift(hypotheses, *belief.drift)
     if sees:  # without images a failure would not show
         failures_per_s = config.odometry_failures_per_s
-        hypotheses = with_failures(hypotheses, odometry, config.odometry_bias, config.gap.velocity, failures_per_s)
+        noise = next(iter(belief.cameras.values())).noise
+        hypotheses = with_failures(hypotheses, odometry, config.odometry_bias, noise, failures_per_s)
     return unchecked_replace(
         belief,
         hypotheses=predict_hypotheses(hypotheses, odometry, config.odometry_bias, distances),

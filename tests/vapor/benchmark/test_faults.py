@@ -29,7 +29,7 @@ OPTIONS = [
 
 ALWAYS_SURE = [
     "--localizer.converged-weight", "0", "--localizer.converged-std-m", "1e9",
-    "--localizer.converged-agreement", "1e-9",
+    "--localizer.converged-agreement", "1e-9", "--localizer.lost-unassigned", "1",
 ]  # fmt: skip
 
 

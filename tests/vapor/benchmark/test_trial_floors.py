@@ -28,7 +28,13 @@ def test_storeys_are_evaluated_where_they_look_alike_and_where_there_are_several
     beliefs = dict.fromkeys(("kalman", "gaussian_sum", "filter"), Belief(modes, ["ambiguous"] * 4))
     segment = SimpleNamespace(times_ns=10**8 * np.arange(4), truth=truth)
     followed = SimpleNamespace(
-        segment=segment, beliefs=beliefs, image_modes=modes, particles=1, step_ms=1.0, kidnap_index=None
+        segment=segment,
+        beliefs=beliefs,
+        smoothed=beliefs["filter"],
+        image_modes=modes,
+        particles=1,
+        step_ms=1.0,
+        kidnap_index=None,
     )
     monkeypatch.setattr(replay, "follow_trial", lambda trial, setup, replay: followed)
     monkeypatch.setattr(replay, "all_poses", lambda followed: dict.fromkeys(METHODS, off))

@@ -90,7 +90,7 @@ def test_a_pose_that_is_not_finite_is_left_out_and_named_with_topic_and_time(
 
 def test_a_model_of_another_version_is_refused(walk_of_25, tiny_model, earlier, capsys):
     model = altered(tiny_model, earlier.parent / "other.safetensors", lambda t, m: m.update(version="1"))
-    refuse_run(walk_of_25, model, earlier, capsys, model, "format version is '1', expected '11'; train the model again")
+    refuse_run(walk_of_25, model, earlier, capsys, model, "format version is '1', expected '12'; train the model again")
 
 
 def test_an_output_that_is_or_lies_in_a_file_is_refused(walk_of_25, tiny_model, tmp_path, capsys):
