@@ -2,7 +2,7 @@
 
 python examples/fuse_estimates.py --output fused/
 
-Here the other estimator is simulated: it confuses two identical rooms in half of its images. Yours
+Here the other estimator is simulated: it confuses two identical rooms in a third of its images. Yours
 writes the same text: `name qw qx qy qz tx ty tz`, or TUM's `time tx ty tz qx qy qz qw`.
 """
 
@@ -36,7 +36,7 @@ def main() -> None:
     rotation = vapor.Poses.exp(np.stack([0 * turn] * 5 + [turn], axis=1)).rotation
     truth = vapor.Poses(rotation, position)
     noisy = truth @ vapor.Poses.exp(rng.normal(0.0, [0.05] * 3 + [0.02] * 3, (80, 6)))
-    wrong_room = rng.random((80, 1)) < 0.5
+    wrong_room = rng.random((80, 1)) < 0.35
     estimates = vapor.Poses(noisy.rotation, noisy.translation + wrong_room * [OTHER_ROOM_M, 0.0, 0.0])
 
     with TemporaryDirectory() as folder:
