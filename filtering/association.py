@@ -114,6 +114,7 @@ def correct(
     """Where in the place: a hypothesis goes on as several, one for each place it may see, and one that sees none.
 
     Each is weighted by how likely that is, and corrected by its place like a Kalman filter; weights are not normalised.
+    Hypotheses at one place share their weight by how likely each makes the image.
     A place that differs by more than usual has an error of its own, which is taken to be that large, independent of
     earlier images, and correlated over as long a distance as any.
 

@@ -123,7 +123,7 @@ class PosePosterior:
             estimates: world_from_camera, batch (m,), m ≥ 1.
             std_m: Stated standard deviation along each axis, metres; of all estimates or of each.
             std_rad: Stated standard deviation about each axis, radians; of all estimates or of each.
-            errors: Their noise.
+            noise: Of them; how much the weights count follows from its `weight_power`.
             weights: Probability that each is the right one, at least 0, in all 1 at most; None for equal ones.
 
         Raises:

@@ -160,8 +160,9 @@ def follow_mount(belief: Belief, view: View) -> Belief:
 def measure(belief: Belief, view: View, config: LocalizerConfig) -> tuple[Belief, UsedView]:
     """Weight every hypothesis by an image, and correct it by each place that it may see.
 
-    `evidence` decides which place, and `correct` where in it: the densities of places only split a hypothesis.
-    Otherwise a wrong place with tight samples would outweigh the right one with loose samples.
+    `evidence` decides which place, and `correct` where in it: densities split a hypothesis, and share the weight of
+    those at one place. Between places they do not count: otherwise a wrong place with tight samples would outweigh the
+    right one with loose samples.
     """
     belief = follow_mount(belief, view)
     before = belief.cameras[view.camera]
