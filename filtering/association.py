@@ -26,6 +26,7 @@ _GATE = 36.0  # times the summed variances of position, and of rotation: a coars
 _LEAST = 1e-3  # fraction of a hypothesis that goes on as one of its own; smaller ones go to its other parts
 _DENSITY = 0.5  # power of the likelihoods of hypotheses at one place: with 1, regions of 95 % held 89 % of the poses
 _SAME_PLACE = 36.0  # squared Mahalanobis distance: hypotheses so near a place are at it
+_LOG_WIDE = 6 * np.log(2.0)  # log volume: innovations twice as wide as the ordinary error, on all axes, are usual
 UNUSUAL = 1.25
 """Factor of the variance from which on an error is taken as one of its own."""
 
@@ -40,6 +41,8 @@ class Pairs(NamedTuple):
         predicted: The measurement as the hypothesis predicts it.
         squared: Squared Mahalanobis distance by the ordinary error, (p,).
         log_density: Of the place, as the hypothesis expects it, (p,).
+        log_width: Log of the volume of the innovation's covariance over that of the error of the place, or of an
+            ordinary image's if that is larger, (p,).
     """
 
     hypothesis: Int64[np.ndarray, " p"]
@@ -49,6 +52,7 @@ class Pairs(NamedTuple):
     predicted: PredictedMeasurement
     squared: Float64[np.ndarray, " p"]
     log_density: Float64[np.ndarray, " p"]
+    log_width: Float64[np.ndarray, " p"]
 
 
 class Correlation(NamedTuple):
@@ -95,17 +99,22 @@ def gate(belief: Hypotheses, posterior: PosePosterior, correlations: Sequence[Co
 def evidence(belief: Hypotheses, posterior: PosePosterior, pairs: Sequence[Pairs], outlier_places: float) -> Evidence:
     """Which place: a hypothesis is as possible as the places near it.
 
-    The network's posterior serves as a likelihood: the training images count as spread evenly over the map.
+    The network's posterior serves as a likelihood: the training images count as spread evenly over the map. A
+    hypothesis that is wider than places are is near many, so each says less for it.
     """
-    hypothesis, place, squared = (_joined(pairs, name) for name in ("hypothesis", "place", "squared"))
+    hypothesis, place, squared, log_width = (
+        _joined(pairs, name) for name in ("hypothesis", "place", "squared", "log_width")
+    )
     near = posterior.possible[place] * posterior.noise.nearness(squared)
+    fits = np.minimum(np.bincount(hypothesis, near, minlength=len(belief)), 1.0)
+    near *= np.exp(np.minimum(_LOG_WIDE - log_width, 0.0))
     possible = np.minimum(np.bincount(hypothesis, near, minlength=len(belief)), 1.0)
     excuse, outlier = posterior.excuse(belief.poses), posterior.outlier_probability
     outliers = outlier + (1.0 - outlier) * excuse
     elsewhere = outlier / outlier_places
     mistaken = elsewhere + (1.0 - elsewhere) * excuse
     log_likelihood = np.log(mistaken + (1.0 - mistaken) * possible)
-    return Evidence(log_likelihood, outliers, float(belief.weights @ possible))
+    return Evidence(log_likelihood, outliers, float(belief.weights @ fits))
 
 
 def correct(
@@ -208,6 +217,9 @@ def pair(
     cross, information = predict_measurement(belief.covariance, hypothesis, jacobian, noise)
     squared = np.maximum(np.vecdot(innovation, (information @ innovation[:, :, None])[:, :, 0]), 0.0)
     log_det = -np.linalg.slogdet(information)[1]
+    # Verified places are much finer than a belief by the network alone, which is no wider than usual.
+    ordinary = 2.0 * np.log(posterior.noise.typical_std).sum()
+    log_width = 0.5 * (log_det - np.maximum(np.linalg.slogdet(posterior.covariances)[1], ordinary)[place])
     nu = of_source.degrees_of_freedom
     log_peak = gammaln((nu + 6) / 2) - gammaln(nu / 2) - 3 * np.log(nu * np.pi) - 0.5 * log_det
     # However little is known about where the camera is, it is in the map.
@@ -221,9 +233,8 @@ def pair(
         noise[far] = larger[far, None, None] * lasts * posterior.covariances[place[far]]
         cross[far], information[far] = predict_measurement(belief.covariance, hypothesis[far], jacobian[:1], noise[far])
     measurement = Measurement(innovation, jacobian, noise)
-    return Pairs(
-        hypothesis, place, difference, measurement, PredictedMeasurement(cross, information), squared, log_density
-    )
+    predicted = PredictedMeasurement(cross, information)
+    return Pairs(hypothesis, place, difference, measurement, predicted, squared, log_density, log_width)
 
 
 def corrected_poses(
@@ -280,7 +291,8 @@ def _corrected(
         belief.covariance, parent, _taken(pairs.measurement, taken), _taken(pairs.predicted, taken)
     )
     poses = corrected_poses(belief.poses, places, pairs, taken, change[:, POSE])
-    return Hypotheses(poses, belief.mean[parent] + change[:, 6:], covariance, belief.log_weights[parent] + log_fraction)
+    mean, log_weights = belief.mean[parent] + change[:, 6:], belief.log_weights[parent] + log_fraction
+    return Hypotheses(poses, mean, covariance, log_weights, belief.regime[parent])
 
 
 def _within_gate(apart: np.ndarray, variance: np.ndarray, place_variance: np.ndarray) -> Bool[np.ndarray, "n k"]:

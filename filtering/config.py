@@ -89,8 +89,10 @@ class LocalizerConfig:
     """Another mode becomes the best one when its weight exceeds that of the best by this factor."""
     odometry_bias: OdometryBias = field(default_factory=lambda: OdometryBias(relative_drift=0.6))
     """Scale error and drift of the odometry."""
-    odometry_failures_per_s: float = 0.02
+    odometry_failures_per_s: float = 0.005
     """Rate at which odometry goes wrong: wheels slip or are stuck, a scale triples, a pose jumps."""
+    odometry_failure_s: float = 5.0
+    """How long that lasts on average, seconds."""
     gap: GapConfig = field(default_factory=GapConfig)
     """Motion where odometry is missing."""
     modes: ModeConfig = field(default_factory=ModeConfig)
@@ -114,6 +116,7 @@ class LocalizerConfig:
             lost_unassigned=(0.0, 1.0),
             outlier_places=(1.0, 1e9),
             odometry_failures_per_s=(0.0, 1e3),
+            odometry_failure_s=(1e-3, 1e9),
             agreement_s=(1e-6, 1e6),
             agreement_images=(1, 10**6),
             switch_ratio=(1.0, 1e9),

@@ -22,6 +22,11 @@ from filtering.unchecked import unchecked_replace
 POSE, BIAS, DRIFT = slice(0, 6), slice(6, 13), slice(7, 13)
 """Parts of a state: the error of the pose, and odometry bias (scale, and drift of each axis)."""
 
+RIGHT, BIASED, USELESS = range(3)
+"""Regimes of odometry: it errs as stated; it is off by a motion of its own, as where wheels slip; it says nothing.
+
+The drift of a hypothesis is that motion where odometry is biased, and the camera's velocity where it is useless."""
+
 _BLOCK = 256
 
 
@@ -52,18 +57,26 @@ class Hypotheses:
         mean: Mean of the other parts of the state, (n, d − 6).
         covariance: Of the state, (n, d, d).
         log_weights: Log weights, normalised, (n,).
+        regime: Of the odometry, (n,): `RIGHT`, `BIASED` or `USELESS`.
     """
 
     poses: Poses
     mean: Float64[np.ndarray, "n m"]
     covariance: Float64[np.ndarray, "n d d"]
     log_weights: Float64[np.ndarray, " n"]
+    regime: Int64[np.ndarray, " n"]
 
     def __len__(self) -> int:
         return len(self.log_weights)
 
     def __getitem__(self, index: slice | Int64[np.ndarray, " k"] | np.ndarray) -> Hypotheses:
-        return Hypotheses(self.poses[index], self.mean[index], self.covariance[index], self.log_weights[index])
+        return Hypotheses(
+            self.poses[index],
+            self.mean[index],
+            self.covariance[index],
+            self.log_weights[index],
+            self.regime[index],
+        )
 
     @property
     def weights(self) -> Float64[np.ndarray, " n"]:
@@ -115,6 +128,7 @@ def concatenate(parts: Sequence[Hypotheses]) -> Hypotheses:
         np.concatenate([part.mean for part in parts]),
         np.concatenate([part.covariance for part in parts]),
         np.concatenate([part.log_weights for part in parts]),
+        np.concatenate([part.regime for part in parts]),
     )
 
 
@@ -128,8 +142,7 @@ def birth(
 ) -> Hypotheses:
     """A hypothesis for each place of a posterior, weighted by its share.
 
-    The odometry bias is that of the heaviest hypothesis of the belief, if there is one: it does not depend on the
-    place.
+    The odometry bias is that of the belief (`odometry_bias_of`), if there is one: it does not depend on the place.
 
     Args:
         posterior: Of an image.
@@ -146,9 +159,7 @@ def birth(
     covariance[:, diagonal, diagonal] = 1.0
     covariance[:, 6, 6] = odometry_bias.scale**2
     if belief is not None:
-        heaviest = int(np.argmax(belief.log_weights))
-        mean[:, :7] = belief.mean[heaviest, :7]
-        covariance[:, BIAS, BIAS] = belief.covariance[heaviest, BIAS, BIAS]
+        mean[:, :7], covariance[:, BIAS, BIAS] = odometry_bias_of(belief)
     covariance[:, POSE, POSE] = posterior.covariances
     for source, number in enumerate((camera, camera if landmarks is None else landmarks)):
         places, own = posterior.sources[source], correlated_error(number)
@@ -157,9 +168,22 @@ def birth(
         covariance[places, own, POSE] = np.swapaxes(shared, 1, 2)
     shares = posterior.shares
     places = np.flatnonzero(shares)
-    return Hypotheses(posterior.means, mean, covariance, np.zeros(count))[places].with_log_weights(
-        np.log(shares[places])
-    )
+    born = Hypotheses(posterior.means, mean, covariance, np.zeros(count), np.full(count, RIGHT))
+    return born[places].with_log_weights(np.log(shares[places]))
+
+
+def odometry_bias_of(belief: Hypotheses) -> tuple[Float64[np.ndarray, " 7"], Float64[np.ndarray, "7 7"]]:
+    """Mean and covariance of the odometry bias, by the heaviest hypothesis for which odometry is right.
+
+    Where it is right for none, the scale error is that of the heaviest one, and the drift is unknown.
+    """
+    right = belief.regime == RIGHT
+    heaviest = int(np.argmax(np.where(right | ~right.any(), belief.log_weights, -np.inf)))
+    mean, covariance = belief.mean[heaviest, :7].copy(), belief.covariance[heaviest, BIAS, BIAS].copy()
+    if not right[heaviest]:
+        mean[1:], covariance[1:], covariance[:, 1:] = 0.0, 0.0, 0.0
+        covariance[1:, 1:] = np.eye(6)
+    return mean, covariance
 
 
 def with_drift(

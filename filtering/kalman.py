@@ -20,7 +20,7 @@ from filtering.cameras import CameraMemory, Source
 from filtering.config import GapConfig, LocalizerConfig
 from filtering.errors import VaporTrackError, require_within
 from filtering.estimate import Mode
-from filtering.hypotheses import DRIFT, POSE, Hypotheses, birth, with_drift, with_source
+from filtering.hypotheses import DRIFT, POSE, RIGHT, Hypotheses, birth, with_drift, with_source
 from filtering.measurement_noise import MeasurementNoise
 from filtering.moments import settle
 from filtering.motion import Odometry, OdometryBias, require_odometry
@@ -135,7 +135,9 @@ class KalmanLocalizer:
 
     def _hypothesis(self, pose: Poses) -> Hypotheses:
         mean, covariance = self._filter.x[6:].T.copy(), self._filter.P[None].copy()
-        return Hypotheses(Poses(pose.rotation[None], pose.translation[None]), mean, covariance, np.zeros(1))
+        return Hypotheses(
+            Poses(pose.rotation[None], pose.translation[None]), mean, covariance, np.zeros(1), np.full(1, RIGHT)
+        )
 
     def _start(self, posterior: PosePosterior, before: Hypotheses | None) -> None:
         """Start at the image's heaviest place; the odometry bias is kept."""

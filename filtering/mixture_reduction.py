@@ -10,13 +10,12 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from filtering.hypotheses import DRIFT, POSE, Hypotheses
+from filtering.hypotheses import POSE, Hypotheses
 from filtering.moments import mixture_moments
 from filtering.resampling import RESAMPLING, Resampling
 from filtering.se3 import Poses
 
 _NEAR = 4.0  # squared, in standard deviations: hypotheses further apart are not merged
-_OTHER_DRIFT = 4.0  # times the variance of the drift: odometry is right by one hypothesis, wrong by the other
 
 
 def reduce_mixture(
@@ -31,8 +30,8 @@ def reduce_mixture(
     """Prune, merge and resample hypotheses; the result is sorted by falling weight.
 
     A hypothesis is merged into a heavier one that describes its pose as well: the Kullback-Leibler divergence of its
-    Gaussian from the other's is small, and odometry is as wrong by both. Merging keeps mean and covariance. Hypotheses
-    lighter than `least_weight` are pruned. If more than `most` are left, they are resampled.
+    Gaussian from the other's is small, and odometry has one regime in both. Merging keeps mean and covariance.
+    Hypotheses lighter than `least_weight` are pruned. If more than `most` are left, they are resampled.
 
     Args:
         hypotheses: With normalised weights, (n,).
@@ -75,8 +74,7 @@ def _leaders(h: Hypotheses, divergence: float) -> Int64[np.ndarray, " n"]:
     second_moment = covariance[light] + offset[:, :, None] * offset[:, None, :]
     trace = np.vecdot(information.reshape(-1, 36)[heavy], second_moment.reshape(-1, 36))
     close = 0.5 * (trace - 6.0 + log_det[heavy] - log_det[light]) < divergence
-    drift = np.einsum("nii->n", h.covariance[:, DRIFT, DRIFT])
-    close &= np.maximum(drift[heavy], drift[light]) < _OTHER_DRIFT * np.minimum(drift[heavy], drift[light])
+    close &= h.regime[heavy] == h.regime[light]
     described = np.zeros((count, count), bool)
     described[heavy[close], light[close]] = True
     free = np.ones(count, bool)

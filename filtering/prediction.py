@@ -7,7 +7,19 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float64
 
-from filtering.hypotheses import BIAS, DRIFT, POSE, Hypotheses, blocks, concatenate, with_drift
+from filtering.hypotheses import (
+    BIAS,
+    BIASED,
+    DRIFT,
+    POSE,
+    RIGHT,
+    USELESS,
+    Hypotheses,
+    blocks,
+    concatenate,
+    odometry_bias_of,
+    with_drift,
+)
 from filtering.measurement_noise import MeasurementNoise
 from filtering.moments import settle
 from filtering.motion import Odometry, OdometryBias
@@ -16,9 +28,9 @@ from filtering.unchecked import unchecked_replace
 
 _WIDEST_RAD = 2.0  # standard deviation: all directions
 _LONGEST_S = 1e10  # three centuries
-_HEAVY = 0.3  # of a belief: hypotheses for which odometry may go wrong
-_SLIP_PER_S = 0.5  # new views: wheels that slip, or are stuck, err by so many
-_MOST_FAILED = 0.1  # of a hypothesis, in one motion
+_HEAVY = 0.01  # of a belief: hypotheses for which the regime of odometry may change
+_MOST = 0.5  # of a hypothesis, in one motion
+_SLIP_PER_S = 0.15  # new views: biased odometry errs by so many
 _FARTHEST = 1e6  # standard deviations of the drift
 
 
@@ -92,36 +104,82 @@ def predict(
     covariance[:, DRIFT, POSE] += noise[DRIFT, POSE]
     rest = np.arange(6, len(noise))
     covariance[:, rest, rest] += np.diag(noise)[6:]
-    return Hypotheses(poses.orthonormal(), hypotheses.mean * kept, covariance, hypotheses.log_weights)
+    poses, mean = poses.orthonormal(), hypotheses.mean * kept
+    return unchecked_replace(hypotheses, poses=poses, mean=mean, covariance=covariance)
 
 
-def with_failures(
-    hypotheses: Hypotheses, odometry: Odometry, odometry_bias: OdometryBias, noise: MeasurementNoise, rate_per_s: float
+def with_regimes(
+    hypotheses: Hypotheses,
+    odometry: Odometry,
+    odometry_bias: OdometryBias,
+    noise: MeasurementNoise,
+    failures_per_s: float,
+    failure_s: float,
 ) -> Hypotheses:
-    """The same, and for each heavy one another with a small part of its weight: odometry goes wrong from here on.
+    """The same, and of each a small part for which odometry begins to fail now, or ceases to: a jump Markov model.
 
-    The drift of these is as large as what odometry reports, or as half a new view a second.
+    Odometry that fails is biased or useless, alike often. The drift of biased odometry is as large as what it reports,
+    and at least a part of a new view a second.
 
     Args:
         hypotheses: Before the motion.
         odometry: The motion.
         odometry_bias: Its bias.
         noise: Of the images, whose lengths make a view a new one.
-        rate_per_s: Rate at which odometry goes wrong.
+        failures_per_s: Rate at which odometry begins to fail.
+        failure_s: How long that lasts on average, seconds.
+
+    Source: Blom and Bar-Shalom, "The interacting multiple model algorithm for systems with Markovian switching
+    coefficients", 1988.
     """
     duration_s = odometry.duration_s
-    heavy = np.flatnonzero(hypotheses.log_weights > np.log(_HEAVY))
-    unit = drift_of(odometry, odometry_bias)
-    if rate_per_s * duration_s <= 0.0 or not len(heavy) or not unit.all():
+    if failures_per_s * duration_s <= 0.0:
         return hypotheses
-    lengths = np.repeat([noise.length_m, noise.length_rad], 3)
-    wrong = np.hypot(_SLIP_PER_S * duration_s * lengths, odometry.tangent)
-    failed = with_drift(hypotheses[heavy], np.zeros(6), np.diag(np.square(np.minimum(wrong / unit, _FARTHEST))))
-    part = -np.expm1(-min(rate_per_s * duration_s, _MOST_FAILED))
+    heavy = hypotheses.log_weights > np.log(_HEAVY)
+    right, failed = (np.flatnonzero(heavy & (is_right == (hypotheses.regime == RIGHT))) for is_right in (True, False))
+    fails, ceases = (-np.expm1(-min(duration_s * rate, _MOST)) for rate in (failures_per_s, 1.0 / failure_s))
     log_weights = hypotheses.log_weights.copy()
-    log_weights[heavy] += np.log1p(-part)
-    failed = failed.reweighted(np.full(len(heavy), np.log(part)))
-    return concatenate([unchecked_replace(hypotheses, log_weights=log_weights), failed])
+    log_weights[right] += np.log1p(-fails)
+    log_weights[failed] += np.log1p(-ceases)
+    unit, lengths = drift_of(odometry, odometry_bias), np.repeat([noise.length_m, noise.length_rad], 3)
+    wrong = np.hypot(_SLIP_PER_S * duration_s * lengths, odometry.tangent)
+    wrong = np.minimum(wrong / np.maximum(unit, 1e-300), _FARTHEST)
+    known, of_known = odometry_bias_of(hypotheses)
+    parts = [unchecked_replace(hypotheses, log_weights=log_weights)]
+    for of, part, regime, mean, covariance in (
+        (right, fails / 2.0, BIASED, np.zeros(6), np.diag(np.square(wrong))),
+        (right, fails / 2.0, USELESS, np.zeros(6), np.eye(6)),
+        (failed, ceases, RIGHT, known[1:], of_known[1:, 1:]),
+    ):
+        if len(of):
+            switched = hypotheses[of].reweighted(np.full(len(of), np.log(part)))
+            regimes = np.full(len(of), regime)
+            parts.append(unchecked_replace(with_drift(switched, mean, covariance), regime=regimes))
+    return concatenate(parts)
+
+
+def moved(
+    hypotheses: Hypotheses,
+    odometry: Odometry,
+    odometry_bias: OdometryBias,
+    velocity: OdometryBias,
+    distances: Sequence[float],
+) -> Hypotheses:
+    """Hypotheses after a motion: by odometry, or by their own velocity where it is useless.
+
+    Args:
+        hypotheses: Before.
+        odometry: The motion.
+        odometry_bias: Its bias.
+        velocity: `GapConfig.velocity`.
+        distances: Normalized distance that the camera of each source moved.
+    """
+    useless = hypotheses.regime == USELESS
+    if not useless.any():
+        return predict(hypotheses, odometry, odometry_bias, distances)
+    others, own = hypotheses[np.flatnonzero(~useless)], hypotheses[np.flatnonzero(useless)]
+    after = across_gap(own, velocity, odometry.duration_s, distances)
+    return concatenate([predict(others, odometry, odometry_bias, distances), after]) if len(others) else after
 
 
 def drift_of(odometry: Odometry, odometry_bias: OdometryBias) -> Float64[np.ndarray, " 6"]:

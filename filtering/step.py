@@ -18,13 +18,22 @@ from filtering.cameras import CameraMemory
 from filtering.config import GapConfig, LocalizerConfig
 from filtering.errors import VaporTrackError
 from filtering.estimate import Estimate, Mode, Status, describe_modes
-from filtering.hypotheses import DRIFT, Hypotheses, birth, concatenate, log_sum, with_drift, with_source
+from filtering.hypotheses import (
+    RIGHT,
+    Hypotheses,
+    birth,
+    concatenate,
+    log_sum,
+    odometry_bias_of,
+    with_drift,
+    with_source,
+)
 from filtering.measurement_noise import MeasurementNoise
 from filtering.mixture_reduction import reduce_mixture
 from filtering.motion import Odometry, OdometryBias, require_odometry
 from filtering.observation import Observation, View
 from filtering.posterior import PosePosterior
-from filtering.prediction import across_gap, with_failures
+from filtering.prediction import across_gap, moved, with_regimes
 from filtering.prediction import predict as predict_hypotheses
 from filtering.unchecked import unchecked_replace
 
@@ -76,12 +85,11 @@ def predict(
     if belief.drift is not None:  # a gap has ended
         hypotheses = with_drift(hypotheses, *belief.drift)
     if sees:  # without images a failure would not show
-        failures_per_s = config.odometry_failures_per_s
-        noise = next(iter(belief.cameras.values())).noise
-        hypotheses = with_failures(hypotheses, odometry, config.odometry_bias, noise, failures_per_s)
+        rates = config.odometry_failures_per_s, config.odometry_failure_s
+        hypotheses = with_regimes(hypotheses, odometry, config.odometry_bias, noise_of(belief), *rates)
     return unchecked_replace(
         belief,
-        hypotheses=predict_hypotheses(hypotheses, odometry, config.odometry_bias, distances),
+        hypotheses=moved(hypotheses, odometry, config.odometry_bias, config.gap.velocity, distances),
         cameras={name: camera for name, (camera, _) in after.items()},
         known=belief.known.moved(odometry.previous_from_current),
         drift=None,
@@ -96,16 +104,17 @@ def _across_gap(belief: Belief, elapsed_s: float, gap: GapConfig) -> Belief:
     after = {name: camera.across_gap(*likely) for name, camera in belief.cameras.items()}
     hypotheses, distances, drift = hypotheses_of(belief), _by_source(after), belief.drift
     if drift is None:  # the gap begins
-        heaviest = int(np.argmax(hypotheses.log_weights))
-        drift = hypotheses.mean[heaviest, 1:7], hypotheses.covariance[heaviest, DRIFT, DRIFT]
+        mean, covariance = odometry_bias_of(hypotheses)
+        drift = mean[1:], covariance[1:, 1:]
+        hypotheses = unchecked_replace(hypotheses, regime=np.full(len(hypotheses), RIGHT))
         hypotheses = with_drift(hypotheses, np.zeros(6), np.eye(6))
     forgets = gap.action == "forget"
-    moved = across_gap(hypotheses, gap.velocity, elapsed_s, distances)
+    after_gap = across_gap(hypotheses, gap.velocity, elapsed_s, distances)
     return unchecked_replace(
         belief,
-        hypotheses=moved,
+        hypotheses=after_gap,
         cameras={name: camera for name, (camera, _) in after.items()},
-        known=belief.known.carried(hypotheses.poses, moved.poses),
+        known=belief.known.carried(hypotheses.poses, after_gap.poses),
         drift=drift,
         agreement=0.0 if forgets else belief.agreement,
         unseen_s=belief.unseen_s + elapsed_s,

@@ -5,7 +5,17 @@ import pytest
 
 from filtering.config import GapConfig
 from filtering.errors import VaporTrackError
-from filtering.hypotheses import BIAS, POSE, Hypotheses, birth, concatenate, correlated_error, log_sum, with_drift
+from filtering.hypotheses import (
+    BIAS,
+    POSE,
+    RIGHT,
+    Hypotheses,
+    birth,
+    concatenate,
+    correlated_error,
+    log_sum,
+    with_drift,
+)
 from filtering.measurement_noise import MeasurementNoise
 from filtering.mixture_reduction import reduce_mixture
 from filtering.motion import Odometry, OdometryBias
@@ -27,7 +37,9 @@ def bank(count, *, seed=0, offset=1e-3, scale=0.05, weights=None):
     poses = Poses.exp(np.array([3.0, 1, 2, 0.1, 0.2, 1.0])) @ Poses.exp(offset * rng.standard_normal((count, 6)))
     weights = rng.dirichlet(np.ones(count)) if weights is None else np.array(weights)
     covariance = random_covariances(count, 19, seed=seed, scale=scale)
-    return Hypotheses(poses, offset * rng.standard_normal((count, 13)), covariance, np.log(weights))
+    return Hypotheses(
+        poses, offset * rng.standard_normal((count, 13)), covariance, np.log(weights), np.full(count, RIGHT)
+    )
 
 
 def mixture_moments(h, about):
