@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 from scipy.special import gammaln
 
-from filtering.hypotheses import POSE, Hypotheses, blocks, concatenate, correlated_error
+from filtering.hypotheses import POSE, RIGHT, Hypotheses, blocks, concatenate, correlated_error
 from filtering.measurement import Measurement, PredictedMeasurement, kalman_update, predict_measurement
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
@@ -100,14 +100,15 @@ def evidence(belief: Hypotheses, posterior: PosePosterior, pairs: Sequence[Pairs
     """Which place: a hypothesis is as possible as the places near it.
 
     The network's posterior serves as a likelihood: the training images count as spread evenly over the map. A
-    hypothesis that is wider than places are is near many, so each says less for it.
+    hypothesis for which odometry fails is near many places where it is wider than they are, so each says less for it.
     """
     hypothesis, place, squared, log_width = (
         _joined(pairs, name) for name in ("hypothesis", "place", "squared", "log_width")
     )
     near = posterior.possible[place] * posterior.noise.nearness(squared)
     fits = np.minimum(np.bincount(hypothesis, near, minlength=len(belief)), 1.0)
-    near *= np.exp(np.minimum(_LOG_WIDE - log_width, 0.0))
+    fails = belief.regime[hypothesis] != RIGHT
+    near = np.where(fails, near * np.exp(np.minimum(_LOG_WIDE - log_width, 0.0)), near)
     possible = np.minimum(np.bincount(hypothesis, near, minlength=len(belief)), 1.0)
     excuse, outlier = posterior.excuse(belief.poses), posterior.outlier_probability
     outliers = outlier + (1.0 - outlier) * excuse

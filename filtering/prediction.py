@@ -29,7 +29,7 @@ from filtering.unchecked import unchecked_replace
 _WIDEST_RAD = 2.0  # standard deviation: all directions
 _LONGEST_S = 1e10  # three centuries
 _HEAVY = 0.01  # of a belief: hypotheses for which the regime of odometry may change
-_MOST = 0.5  # of a hypothesis, in one motion
+_MOST = 0.5  # of a hypothesis begins to fail in one motion
 _SLIP_PER_S = 0.15  # new views: biased odometry errs by so many
 _FARTHEST = 1e6  # standard deviations of the drift
 
@@ -113,19 +113,21 @@ def with_regimes(
     odometry: Odometry,
     odometry_bias: OdometryBias,
     noise: MeasurementNoise,
+    since_s: float,
     failures_per_s: float,
     failure_s: float,
 ) -> Hypotheses:
     """The same, and of each a small part for which odometry begins to fail now, or ceases to: a jump Markov model.
 
-    Odometry that fails is biased or useless, alike often. The drift of biased odometry is as large as what it reports,
-    and at least a part of a new view a second.
+    Odometry that fails is biased or useless, equally often. Biased odometry has a drift as large as what it reports,
+    and at least 0.15 new views a second. Hypotheses below 1 % of the belief keep their regime.
 
     Args:
         hypotheses: Before the motion.
         odometry: The motion.
         odometry_bias: Its bias.
         noise: Of the images, whose lengths make a view a new one.
+        since_s: Seconds since the last image: what failed before it shows at the next.
         failures_per_s: Rate at which odometry begins to fail.
         failure_s: How long that lasts on average, seconds.
 
@@ -133,17 +135,18 @@ def with_regimes(
     coefficients", 1988.
     """
     duration_s = odometry.duration_s
-    if failures_per_s * duration_s <= 0.0:
+    if failures_per_s * since_s <= 0.0:
         return hypotheses
     heavy = hypotheses.log_weights > np.log(_HEAVY)
     right, failed = (np.flatnonzero(heavy & (is_right == (hypotheses.regime == RIGHT))) for is_right in (True, False))
-    fails, ceases = (-np.expm1(-min(duration_s * rate, _MOST)) for rate in (failures_per_s, 1.0 / failure_s))
+    fails, ceases = -np.expm1(-failures_per_s * since_s), -np.expm1(-since_s / failure_s)
+    fails, ceases = min(float(fails), _MOST), min(float(ceases), 1.0 - 1e-9)
     log_weights = hypotheses.log_weights.copy()
     log_weights[right] += np.log1p(-fails)
     log_weights[failed] += np.log1p(-ceases)
     unit, lengths = drift_of(odometry, odometry_bias), np.repeat([noise.length_m, noise.length_rad], 3)
     wrong = np.hypot(_SLIP_PER_S * duration_s * lengths, odometry.tangent)
-    wrong = np.minimum(wrong / np.maximum(unit, 1e-300), _FARTHEST)
+    wrong = np.minimum(wrong / np.where(unit > 0.0, unit, np.inf), _FARTHEST) + (unit == 0.0)
     known, of_known = odometry_bias_of(hypotheses)
     parts = [unchecked_replace(hypotheses, log_weights=log_weights)]
     for of, part, regime, mean, covariance in (

@@ -85,8 +85,9 @@ def predict(
     if belief.drift is not None:  # a gap has ended
         hypotheses = with_drift(hypotheses, *belief.drift)
     if sees:  # without images a failure would not show
+        since_s = belief.unseen_s + odometry.duration_s
         rates = config.odometry_failures_per_s, config.odometry_failure_s
-        hypotheses = with_regimes(hypotheses, odometry, config.odometry_bias, noise_of(belief), *rates)
+        hypotheses = with_regimes(hypotheses, odometry, config.odometry_bias, noise_of(belief), since_s, *rates)
     return unchecked_replace(
         belief,
         hypotheses=moved(hypotheses, odometry, config.odometry_bias, config.gap.velocity, distances),

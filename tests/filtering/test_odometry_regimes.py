@@ -21,7 +21,7 @@ VELOCITY = GapConfig().velocity
 
 
 def switched(of, failures_per_s=0.1, failure_s=5.0):
-    return with_regimes(of, STEP, BIAS, MeasurementNoise(), failures_per_s, failure_s)
+    return with_regimes(of, STEP, BIAS, MeasurementNoise(), 0.1, failures_per_s, failure_s)
 
 
 def weight(of, regime):
@@ -40,10 +40,10 @@ def test_odometry_begins_to_fail_at_its_rate_in_one_of_two_ways():
 def test_odometry_that_failed_is_right_again_with_the_bias_known_before():
     before = bank(2, weights=[0.4, 0.6])
     before = unchecked_replace(before, regime=np.array([RIGHT, USELESS]))
-    again = switched(before, failures_per_s=1e-9, failure_s=0.1 / np.log(2.0))
+    again = switched(before, failures_per_s=1e-9, failure_s=0.1)
     last = len(again) - 1
     assert again.regime[last] == RIGHT
-    assert again.weights[last] == pytest.approx(0.6 * -np.expm1(-0.5))  # half at most
+    assert again.weights[last] == pytest.approx(0.6 * -np.expm1(-1.0))
     assert again.mean[last, 1:7] == pytest.approx(before.mean[0, 1:7])
     known, covariance = odometry_bias_of(before)
     assert known == pytest.approx(before.mean[0, :7])
@@ -101,3 +101,17 @@ def test_two_places_keep_their_weights_while_odometry_triples(failures_per_s):
     at = [mode.world_from_camera.translation for mode in estimate.modes]
     found = [any(np.linalg.norm(each - [11.9, y, 0.0]) < 0.3 for each in at) for y in (0.0, 8.0)]
     assert all(found) == (failures_per_s > 0.0)
+
+
+def test_a_gap_does_not_make_places_alike():
+    """All hypotheses are wide after it, and none the less one place fits, and the other does not."""
+    localizer = ParticleLocalizer(None, rng=np.random.default_rng(0))
+    for i in range(30):
+        only = Poses.exp(np.array([[0.1 * i, 0, 0, 0, 0, 0]]))
+        localizer.update(PosePosterior.from_estimates(only, 0.05, 0.03, MeasurementNoise()), STEP if i else None)
+    both = np.array([[3.0, 0, 0, 0, 0, 0], [3.0, 8.0, 0, 0, 0, 0]])
+    alike = PosePosterior.from_estimates(Poses.exp(both), 0.05, 0.03, MeasurementNoise())
+    for _ in range(4):
+        estimate = localizer.update(alike, None, elapsed_s=2.0)
+    wrong = sum(mode.weight for mode in estimate.modes if mode.world_from_camera.translation[1] > 4.0)
+    assert wrong < 0.1
