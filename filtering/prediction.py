@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float64
 
+from filtering.config import GapConfig
 from filtering.hypotheses import (
     BIAS,
     BIASED,
@@ -30,6 +31,7 @@ _WIDEST_RAD = 2.0  # standard deviation: all directions
 _LONGEST_S = 1e10  # three centuries
 _HEAVY = 0.01  # of a belief: hypotheses for which the regime of odometry may change
 _MOST = 0.5  # of a hypothesis begins to fail in one motion
+_VIEWS_PER_S = 2.0  # standard deviation of the speed along each axis where odometry is useless, in new views
 _SLIP_PER_S = 0.15  # new views: biased odometry errs by so many
 _FARTHEST = 1e6  # standard deviations of the drift
 
@@ -161,6 +163,12 @@ def with_regimes(
     return concatenate(parts)
 
 
+def unknown_velocity(noise: MeasurementNoise, gap: GapConfig) -> OdometryBias:
+    """The velocity of a camera whose odometry is useless: two new views a second, in the units of the map."""
+    speed, turn = _VIEWS_PER_S * noise.length_m, gap.turn_rad_per_s
+    return OdometryBias(scale=0.0, drift=(speed,) * 3 + (turn,) * 3, time_s=gap.time_s)
+
+
 def moved(
     hypotheses: Hypotheses,
     odometry: Odometry,
@@ -174,7 +182,7 @@ def moved(
         hypotheses: Before.
         odometry: The motion.
         odometry_bias: Its bias.
-        velocity: `GapConfig.velocity`.
+        velocity: See `unknown_velocity`.
         distances: Normalized distance that the camera of each source moved.
     """
     useless = hypotheses.regime == USELESS

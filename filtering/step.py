@@ -33,7 +33,7 @@ from filtering.mixture_reduction import reduce_mixture
 from filtering.motion import Odometry, OdometryBias, require_odometry
 from filtering.observation import Observation, View
 from filtering.posterior import PosePosterior
-from filtering.prediction import across_gap, moved, with_regimes
+from filtering.prediction import across_gap, moved, unknown_velocity, with_regimes
 from filtering.prediction import predict as predict_hypotheses
 from filtering.unchecked import unchecked_replace
 
@@ -84,13 +84,14 @@ def predict(
     hypotheses, distances = belief.hypotheses, _by_source(after)
     if belief.drift is not None:  # a gap has ended
         hypotheses = with_drift(hypotheses, *belief.drift)
+    velocity = unknown_velocity(noise_of(belief), config.gap)
     if sees:  # without images a failure would not show
         since_s = belief.unseen_s + odometry.duration_s
         rates = config.odometry_failures_per_s, config.odometry_failure_s
         hypotheses = with_regimes(hypotheses, odometry, config.odometry_bias, noise_of(belief), since_s, *rates)
     return unchecked_replace(
         belief,
-        hypotheses=moved(hypotheses, odometry, config.odometry_bias, config.gap.velocity, distances),
+        hypotheses=moved(hypotheses, odometry, config.odometry_bias, velocity, distances),
         cameras={name: camera for name, (camera, _) in after.items()},
         known=belief.known.moved(odometry.previous_from_current),
         drift=None,
