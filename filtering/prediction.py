@@ -166,7 +166,7 @@ def with_regimes(
 def unknown_velocity(noise: MeasurementNoise, gap: GapConfig) -> OdometryBias:
     """The velocity of a camera whose odometry is useless: two new views a second, in the units of the map."""
     speed, turn = _VIEWS_PER_S * noise.length_m, gap.turn_rad_per_s
-    return OdometryBias(scale=0.0, drift=(speed,) * 3 + (turn,) * 3, time_s=gap.time_s)
+    return OdometryBias(scale=0.0, drift=(speed, speed, speed, turn, turn, turn), time_s=gap.time_s)
 
 
 def moved(
