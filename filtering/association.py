@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 from scipy.special import gammaln
 
-from filtering.hypotheses import POSE, RIGHT, Hypotheses, blocks, concatenate, correlated_error
+from filtering.hypotheses import POSE, RIGHT, Hypotheses, along_map, blocks, concatenate, correlated_error
 from filtering.measurement import Measurement, PredictedMeasurement, kalman_update, predict_measurement
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
@@ -211,7 +211,8 @@ def pair(
     of_source, own = posterior.noise_of(source), correlated_error(correlation.number)
     difference = belief.poses[hypothesis].between(posterior.means[place]).log()
     correlated = belief.mean[:, slice(own.start - 6, own.stop - 6)][hypothesis]
-    factor = np.sqrt(of_source.correlated_fraction) * posterior.factors[place]
+    factors = along_map(posterior.factors[place], belief.poses.rotation[hypothesis])
+    factor = np.sqrt(of_source.correlated_fraction) * factors
     noise = (1.0 - of_source.correlated_fraction) * posterior.covariances[place]
     innovation = difference - (factor @ correlated[:, :, None])[:, :, 0]
     jacobian = ((POSE, None), (own, factor))

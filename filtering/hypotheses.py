@@ -35,6 +35,21 @@ def correlated_error(source: int) -> slice:
     return slice(13 + 6 * source, 19 + 6 * source)
 
 
+def along_map(
+    factors: Float64[np.ndarray, "n 6 6"], rotations: Float64[np.ndarray, "n 3 3"]
+) -> Float64[np.ndarray, "n 6 6"]:
+    """Factors of correlated errors of which the position is along the axes of the map, and the rotation about those of
+    the camera: where a network takes a place for a bit too high, it does so whatever way the camera looks.
+
+    Args:
+        factors: Square roots of covariances in the tangent at a pose.
+        rotations: Of each pose, from the camera to the map.
+    """
+    along = factors.copy()
+    along[:, :, :3] = factors[:, :, :3] @ np.swapaxes(rotations, 1, 2)
+    return along
+
+
 def blocks(count: int) -> Iterator[slice]:
     """Blocks of hypotheses whose covariances fit into a processor's cache."""
     return (slice(start, start + _BLOCK) for start in range(0, count, _BLOCK))
@@ -163,7 +178,8 @@ def birth(
     covariance[:, POSE, POSE] = posterior.covariances
     for source, number in enumerate((camera, camera if landmarks is None else landmarks)):
         places, own = posterior.sources[source], correlated_error(number)
-        shared = -np.sqrt(posterior.noise_of(source).correlated_fraction) * posterior.factors[places]
+        factors = along_map(posterior.factors[places], posterior.means.rotation[places])
+        shared = -np.sqrt(posterior.noise_of(source).correlated_fraction) * factors
         covariance[places, POSE, own] = shared
         covariance[places, own, POSE] = np.swapaxes(shared, 1, 2)
     shares = posterior.shares

@@ -53,10 +53,6 @@ class KnownModes:
         """None, but no identity is given again."""
         return KnownModes(next_identity=self.next_identity)
 
-    def moved(self, previous_from_current: Poses) -> KnownModes:
-        """The same after a motion, one pose."""
-        return unchecked_replace(self, poses=self.poses @ previous_from_current)
-
     def carried(self, before: Poses, after: Poses) -> KnownModes:
         """The same after each has moved as the hypothesis nearest to it, of a batch (n,)."""
         if len(self) == 0:

@@ -188,9 +188,11 @@ def moved(
     useless = hypotheses.regime == USELESS
     if not useless.any():
         return predict(hypotheses, odometry, odometry_bias, distances)
-    others, own = hypotheses[np.flatnonzero(~useless)], hypotheses[np.flatnonzero(useless)]
-    after = across_gap(own, velocity, odometry.duration_s, distances)
-    return concatenate([predict(others, odometry, odometry_bias, distances), after]) if len(others) else after
+    others, own = np.flatnonzero(~useless), np.flatnonzero(useless)
+    parts = [across_gap(hypotheses[own], velocity, odometry.duration_s, distances)]
+    if len(others):
+        parts.append(predict(hypotheses[others], odometry, odometry_bias, distances))
+    return concatenate(parts)[np.argsort(np.concatenate([own, others]))]
 
 
 def drift_of(odometry: Odometry, odometry_bias: OdometryBias) -> Float64[np.ndarray, " 6"]:

@@ -23,7 +23,7 @@ from scipy.special import gammaln
 
 from filtering.association import UNUSUAL
 from filtering.errors import VaporTrackError
-from filtering.hypotheses import BIAS, DRIFT, POSE, correlated_error
+from filtering.hypotheses import BIAS, DRIFT, POSE, along_map, correlated_error
 from filtering.measurement_noise import MeasurementNoise
 from filtering.motion import Odometry, OdometryBias
 from filtering.posterior import PosePosterior
@@ -235,7 +235,9 @@ class Places:
         first = image == 0
         known[first] = 0.0
         constant = chain.mean[image][:, slice(self._constant.start - 6, self._constant.stop - 6), None]
-        of_errors = self.factor[chosen] @ known[:, :, None] + self._constant_factor[chosen] @ constant
+        rotations = chain.poses.rotation[image]
+        of_errors = along_map(self.factor[chosen], rotations) @ known[:, :, None]
+        of_errors += along_map(self._constant_factor[chosen], rotations) @ constant
         innovation = residual - of_errors[:, :, 0]
         lasting = np.where(first, 0.0, np.exp(-2.0 * self._since[image, source]))
         variance = 1.0 - self.fraction[chosen] * lasting
@@ -252,11 +254,13 @@ class Places:
         residual = chain.poses[image].between(self.poses[chosen]).log()
         jacobian = np.zeros((len(chosen), 6, 6 + chain.mean.shape[1]))
         jacobian[:, :, POSE] = np.eye(6)
-        jacobian[:, :, self._constant] = self._constant_factor[chosen]
+        rotations = chain.poses.rotation[image]
+        jacobian[:, :, self._constant] = along_map(self._constant_factor[chosen], rotations)
         usual = larger == 1.0
         for number in np.unique(source).tolist():
             of = np.flatnonzero(usual & (source == number))
-            jacobian[of, :, correlated_error(number)] = self.factor[chosen[of]]
+            factors = along_map(self.factor[chosen[of]], rotations[of])
+            jacobian[of, :, correlated_error(number)] = factors
         # Errors that are correlated over a distance of 2 are worth one image: those of an Ornstein-Uhlenbeck process.
         lasts = np.maximum(1.0, 2.0 / np.maximum(self._since[image, source], 1e-6))
         scale = np.where(usual, 1.0 - self.fraction[chosen], larger * lasts)

@@ -80,20 +80,23 @@ def predict(
     if odometry is None:
         return _across_gap(belief, elapsed_s, config.gap)
     require_odometry(odometry)
-    after = {name: camera.predict(odometry) for name, camera in belief.cameras.items()}
-    hypotheses, distances = belief.hypotheses, _by_source(after)
+    hypotheses = belief.hypotheses
     if belief.drift is not None:  # a gap has ended
         hypotheses = with_drift(hypotheses, *belief.drift)
-    velocity = unknown_velocity(noise_of(belief), config.gap)
+    noise, bias = noise_of(belief), config.odometry_bias
+    velocity = unknown_velocity(noise, config.gap)
+    after = {name: camera.predict(odometry) for name, camera in belief.cameras.items()}
+    distances = _by_source(after)
     if sees:  # without images a failure would not show
         since_s = belief.unseen_s + odometry.duration_s
         rates = config.odometry_failures_per_s, config.odometry_failure_s
-        hypotheses = with_regimes(hypotheses, odometry, config.odometry_bias, noise_of(belief), since_s, *rates)
+        hypotheses = with_regimes(hypotheses, odometry, bias, noise, since_s, *rates)
+    after_motion = moved(hypotheses, odometry, bias, velocity, distances)
     return unchecked_replace(
         belief,
-        hypotheses=moved(hypotheses, odometry, config.odometry_bias, velocity, distances),
+        hypotheses=after_motion,
         cameras={name: camera for name, (camera, _) in after.items()},
-        known=belief.known.moved(odometry.previous_from_current),
+        known=belief.known.carried(hypotheses.poses, after_motion.poses),
         drift=None,
         unseen_s=belief.unseen_s + odometry.duration_s,
         normalized_distance=belief.normalized_distance + distances[0],

@@ -84,6 +84,20 @@ def test_standing_before_many_light_places_leaks_no_weight():
     assert weights[-1] == pytest.approx(weights[0], abs=1e-3)
 
 
+def test_looking_around_does_not_take_an_error_of_position_away():
+    """It is along the axes of the map: of the camera's own, it would differ from the camera's place as that turns."""
+    noise = replace(ERRORS, length_rad=1e3)
+    localizer, turn = ParticleLocalizer(None, rng=RNG(0)), Poses.exp(np.array([0, 0, 0, 0, 0, 0.1]))
+    pose, off = Poses.identity(), np.array([0.1, 0.0, 0.0])
+    for i in range(126):
+        seen = Poses(pose.rotation[None], off[None])
+        estimate = localizer.update(seen_at(seen, noise=noise), Odometry(turn, np.diag(AT_REST**2), 0.1) if i else None)
+        pose = pose @ turn
+    (mode,) = estimate.modes
+    assert (stds_of(mode)[:3] > 0.95 * np.sqrt(noise.correlated_fraction) * STD[:3]).all()
+    np.testing.assert_allclose(mode.world_from_camera.translation, off, atol=0.01)
+
+
 STEP_PER_S = np.array([1.0, 0, 0, 0, 0, 0.2])
 WHITE = np.array([0.01] * 3 + [0.005] * 3)  # of odometry, after one second
 FASTEST = 30

@@ -242,6 +242,7 @@ def test_a_time_that_is_no_count_of_nanoseconds_is_refused(time_ns):
         new_localizer().start_at(Poses.identity(), np.eye(6), ERRORS, time_ns=time_ns)
 
 
+@pytest.mark.usefixtures("unchecked")  # the annotation says int
 def test_numpy_integers_are_times():
     assert Observation((), None, time_ns=np.int64(5)).time_ns == 5
 

@@ -68,6 +68,13 @@ def test_useless_odometry_is_not_obeyed():
     assert apart_m[1] < 1.0
 
 
+def test_a_motion_moves_each_hypothesis_where_it_is():
+    before = unchecked_replace(bank(3, offset=0.0), regime=np.array([USELESS, RIGHT, USELESS]))
+    after = moved(before, Odometry.still(0.1), BIAS, VELOCITY, [0.0])
+    assert after.regime.tolist() == [USELESS, RIGHT, USELESS]
+    assert after.log_weights.tolist() == before.log_weights.tolist()
+
+
 def test_no_rate_is_no_failure():
     before = bank(2)
     assert switched(before, failures_per_s=0.0) is before

@@ -60,7 +60,8 @@ def walk(num_images, *, rng, lifts=lambda i: (0.0,), noise=ERRORS, speed_m=0.05,
             distances.append(distance)
             bias = np.exp(-distance) * bias + np.sqrt(-np.expm1(-2 * distance)) * rng.standard_normal(6)
         fresh = rng.standard_normal(6)
-        error = std * (np.sqrt(noise.correlated_fraction) * bias + np.sqrt(1 - noise.correlated_fraction) * fresh)
+        lasting = np.append(truth[-1].rotation.T @ bias[:3], bias[3:])  # positions err along the axes of the map
+        error = std * (np.sqrt(noise.correlated_fraction) * lasting + np.sqrt(1 - noise.correlated_fraction) * fresh)
         seen = truth[-1] @ Poses.exp(error)
         heights = unit * np.asarray(lifts(i))
         lift = heights[:, None] * np.array([0.0, 0.0, 1.0])

@@ -170,6 +170,12 @@ def _correlation_length(lengths: Float64[np.ndarray, " k"], products: Float64[np
     return integral
 
 
+def along_map(residual: Float64[np.ndarray, "n 6"], poses: Poses) -> Float64[np.ndarray, "n 6"]:
+    """Errors (n, 6) in the tangent at poses (n,) with their positions along the axes of the map, as they are correlated
+    (`filtering.hypotheses.along_map`)."""
+    return np.hstack([np.einsum("nij,nj->ni", poses.rotation, residual[:, :3]), residual[:, 3:]])
+
+
 def effective_images(travel: Travel, correlated: ErrorCorrelation) -> float:
     """Number of independent images with the same information: one a pass and one for every two lengths, at most all."""
     steps = correlated.between(travel, slice(None, -1), slice(1, None))

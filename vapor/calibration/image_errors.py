@@ -16,6 +16,7 @@ from sequences.odometry_fit.result import six
 from vapor.calibration.error_correlation import (
     ErrorCorrelation,
     Travel,
+    along_map,
     effective_images,
     fit_error_correlation,
     outlier_lengths,
@@ -241,6 +242,7 @@ def fit_errors(
     else:
         noise = replace(noise, ood_power=0.0)
     residual, usable = places.residuals(noise)
+    residual = along_map(residual, held_out.truth)
     correlated = fit_error_correlation(residual, usable, travel, extent)
     effective = effective_images(travel, correlated)
     noise = cautious(noise, effective)

@@ -15,6 +15,7 @@ from vapor.calibration.error_correlation import (
     LEAST_PAIRS,
     ErrorCorrelation,
     Travel,
+    along_map,
     best_decay,
     effective_images,
     pairs_of_images,
@@ -197,6 +198,7 @@ def fit_verified_errors(left_out: LeaveOut, log_clutter_density: float) -> Verif
     found = most_likely_errors(places, depth_m, log_clutter_density, None)
     noise = replace(MeasurementNoise(log_clutter_density=log_clutter_density), **found.settings(depth_m))
     residuals, usable = places.residuals(noise)
+    residuals = along_map(residuals, truth)
     travel = left_out.travel[which]
     correlated = _error_correlation(residuals, usable, travel, depth_m)
     effective = effective_images(travel, correlated)

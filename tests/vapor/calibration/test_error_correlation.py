@@ -11,7 +11,12 @@ from filtering.measurement_noise import MeasurementNoise
 from filtering.se3 import Poses
 from tests.helpers.erring_posteriors import TRUE, fit, posteriors, walk
 from tests.helpers.full import full
-from vapor.calibration.error_correlation import ErrorCorrelation, Travel, fit_error_correlation
+from vapor.calibration.error_correlation import (
+    ErrorCorrelation,
+    Travel,
+    along_map,
+    fit_error_correlation,
+)
 from vapor.calibration.image_errors import fit_errors
 from vapor.calibration.places import Observations
 from vapor.checkpoints.scene_scale import default_errors, scene_extent
@@ -130,6 +135,12 @@ def test_few_images_give_no_lengths_that_run_away(passes, count):
         found.append(found_correlation(normal, truth, passes, extent=10.0))
     assert np.mean([each.length_m > 0.99 * longest for each in found]) <= 0.25
     assert {each.length_rad for each in found} == {0.4}  # of a camera that never turns nothing is learned
+
+
+def test_errors_of_position_are_along_the_map_and_those_of_rotation_along_the_camera():
+    quarter = Rotation.from_rotvec([0.0, 0.0, np.pi / 2]).as_matrix()
+    found = along_map(np.arange(1.0, 7.0)[None], Poses(quarter[None], np.zeros((1, 3))))
+    np.testing.assert_allclose(found, [[-2.0, 1.0, 3.0, 4.0, 5.0, 6.0]], atol=1e-12)
 
 
 def test_images_in_one_place_say_nothing_of_lengths():
