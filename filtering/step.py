@@ -33,7 +33,7 @@ from filtering.mixture_reduction import reduce_mixture
 from filtering.motion import Odometry, OdometryBias, require_odometry
 from filtering.observation import Observation, View
 from filtering.posterior import PosePosterior
-from filtering.prediction import across_gap, moved, unknown_velocity, with_regimes
+from filtering.prediction import across_gap, leaps, moved, unknown_velocity, with_regimes
 from filtering.prediction import predict as predict_hypotheses
 from filtering.unchecked import unchecked_replace
 
@@ -87,10 +87,11 @@ def predict(
     velocity = unknown_velocity(noise, config.gap)
     after = {name: camera.predict(odometry) for name, camera in belief.cameras.items()}
     distances = _by_source(after)
-    if sees:  # without images a failure would not show
+    leapt = leaps(odometry, velocity, config.gap)
+    if sees or leapt:  # without images another failure would not show
         since_s = belief.unseen_s + odometry.duration_s
         rates = config.odometry_failures_per_s, config.odometry_failure_s
-        hypotheses = with_regimes(hypotheses, odometry, bias, noise, since_s, *rates)
+        hypotheses = with_regimes(hypotheses, odometry, bias, noise, since_s, *rates, leaps=leapt)
     after_motion = moved(hypotheses, odometry, bias, velocity, distances)
     return unchecked_replace(
         belief,

@@ -1,5 +1,7 @@
 """Regimes of odometry: hypotheses for which it is right, biased or useless."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,7 @@ from filtering.measurement_noise import MeasurementNoise
 from filtering.mixture_reduction import reduce_mixture
 from filtering.motion import Odometry, OdometryBias
 from filtering.posterior import PosePosterior
-from filtering.prediction import moved, with_regimes
+from filtering.prediction import leaps, moved, unknown_velocity, with_regimes
 from filtering.se3 import Poses
 from filtering.unchecked import unchecked_replace
 from tests.filtering.test_hypotheses import bank
@@ -73,6 +75,32 @@ def test_a_motion_moves_each_hypothesis_where_it_is():
     after = moved(before, Odometry.still(0.1), BIAS, VELOCITY, [0.0])
     assert after.regime.tolist() == [USELESS, RIGHT, USELESS]
     assert after.log_weights.tolist() == before.log_weights.tolist()
+
+
+def test_a_motion_that_no_camera_makes_is_useless():
+    far = Odometry(Poses.exp(np.array([3.0, 0, 0, 0, 0, 0])), STEP.covariance, 0.1)
+    unknown = unknown_velocity(MeasurementNoise(), GapConfig())
+    assert leaps(far, unknown, GapConfig())
+    assert not leaps(STEP, unknown, GapConfig())
+    assert not leaps(replace(far, duration_s=2.5), unknown, GapConfig())
+    assert not leaps(replace(far, duration_s=0.0), unknown, GapConfig())  # nobody knows how fast
+    after = with_regimes(bank(2), far, BIAS, MeasurementNoise(), 0.1, 0.005, 5.0, leaps=True)
+    assert weight(after, USELESS) == pytest.approx(0.99)
+    assert weight(after, RIGHT) == pytest.approx(0.01)
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_a_jump_of_odometry_to_another_place_that_looks_alike_is_not_obeyed():
+    localizer = ParticleLocalizer(None, rng=np.random.default_rng(0))
+    for i in range(60):
+        both = np.zeros((2, 6))
+        both[:, 0], both[1, 1] = 0.1 * i, 8.0
+        seen = Poses.exp(both[:1] if i < 30 else both)
+        jump = np.array([0.1, 8.0 if i == 40 else 0.0, 0, 0, 0, 0])
+        posterior = PosePosterior.from_estimates(seen, 0.05, 0.03, MeasurementNoise())
+        estimate = localizer.update(posterior, Odometry(Poses.exp(jump), STEP.covariance, 0.1) if i else None)
+    assert abs(estimate.modes[0].world_from_camera.translation[1]) < 0.3
+    assert estimate.status == "converged"
 
 
 def test_no_rate_is_no_failure():
