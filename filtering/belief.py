@@ -28,6 +28,7 @@ class Belief:
         usual_agreement: The same over a longer time.
         unseen_s: Seconds since an image with any place, or one out of distribution.
         drift: Mean (6,) and covariance (6, 6) of the odometry's drift before a gap; None where odometry is known.
+        usual_m_per_s: Average speed by odometry over the last seconds.
         provisional: Whether the next informative image replaces the belief.
         normalized_distance: Of the first camera since the last image, in lengths over which its errors are correlated.
     """
@@ -42,6 +43,7 @@ class Belief:
     usual_agreement: float = 1.0
     unseen_s: float = 0.0
     drift: tuple[np.ndarray, np.ndarray] | None = None
+    usual_m_per_s: float = 0.0
     provisional: bool = False
     normalized_distance: float = 0.0
 

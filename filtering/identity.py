@@ -53,13 +53,23 @@ class KnownModes:
         """None, but no identity is given again."""
         return KnownModes(next_identity=self.next_identity)
 
-    def carried(self, before: Poses, after: Poses) -> KnownModes:
-        """The same after each has moved as the hypothesis nearest to it, of a batch (n,)."""
+    def carried(self, before: Hypotheses, after: Poses, noise: MeasurementNoise, config: ModeConfig) -> KnownModes:
+        """The same after each has moved as the heaviest hypothesis in its place, or as the nearest where none is there.
+
+        Args:
+            before: n hypotheses before the motion.
+            after: Their poses after it, batch (n,).
+            noise: Of the first camera.
+            config: Which hypotheses make one mode.
+        """
         if len(self) == 0:
             return self
-        metres_sq, turned = self.poses.squared_distances(before)
-        nearest = np.argmin(metres_sq + turned, axis=1)
-        return unchecked_replace(self, poses=after[nearest] @ before[nearest].between(self.poses))
+        moves = self._heaviest(before, noise, config)
+        lone = np.flatnonzero(moves < 0)
+        if len(lone):
+            metres_sq, turned = self.poses[lone].squared_distances(before.poses)
+            moves[lone] = np.argmin(metres_sq + turned, axis=1)
+        return unchecked_replace(self, poses=after[moves] @ before.poses[moves].between(self.poses))
 
     def innovated(
         self, belief: Hypotheses, pairs: Sequence[Pairs], noise: MeasurementNoise, config: ModeConfig

@@ -27,7 +27,8 @@ class MeasurementNoise:
 
     A cluster of posterior samples with covariance C stands for a place whose error has covariance Σ = spread · C +
     diag(noise_floor²) and the tails of a Student t distribution. Of the error's variance a fraction lasts while the
-    view stays the same, and fades as the camera moves and turns (an Ornstein-Uhlenbeck process along the path); another
+    view stays the same, and fades as the camera moves and turns (an Ornstein-Uhlenbeck process along the path); its
+    position is along the axes of the map. Another
     fraction never fades; the rest is independent from image to image. So neither standing nor a higher rate adds
     certainty.
 

@@ -276,13 +276,18 @@ class PosePosterior:
             return self
         carry = reference_from_camera.adjoint()
         camera_from_reference = reference_from_camera.inverse()
-        return replace(
+        there = replace(
             self,
             means=self.means @ camera_from_reference,
             covariances=carry @ self.covariances @ carry.T,
             samples=self.samples @ camera_from_reference,
             mapped=None if self.mapped is None else self.mapped.seen_from(reference_from_camera),
         )
+        # The same error of the camera, along the axes of the map: as `filtering.hypotheses.along_map` has it.
+        factors = carry @ self.factors
+        factors[:, :, :3] = factors[:, :, :3] @ reference_from_camera.rotation.T
+        vars(there)["factors"] = factors
+        return there
 
 
 @runtime_checkable

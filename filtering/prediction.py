@@ -31,7 +31,8 @@ _WIDEST_RAD = 2.0  # standard deviation: all directions
 _LONGEST_S = 1e10  # three centuries
 _HEAVY = 0.01  # of a belief: hypotheses for which the regime of odometry may change
 _MOST = 0.5  # of a hypothesis begins to fail in one motion
-_LEAP, _LEAPS = 10.0, 0.99  # times the unknown speed, beyond which so much begins to fail
+_LEAP, _USUAL_S = 10.0, 5.0  # times the usual speed that no camera has; seconds that this is the average of
+_FASTEST = 1e6  # metres a second
 _VIEWS_PER_S = 2.0  # standard deviation of the speed along each axis where odometry is useless, in new views
 _SLIP_PER_S = 0.15  # new views: biased odometry errs by so many
 _FARTHEST = 1e6  # standard deviations of the drift
@@ -119,8 +120,6 @@ def with_regimes(
     since_s: float,
     failures_per_s: float,
     failure_s: float,
-    *,
-    leaps: bool = False,
 ) -> Hypotheses:
     """The same, and of each a small part for which odometry begins to fail now, or ceases to: a jump Markov model.
 
@@ -135,7 +134,6 @@ def with_regimes(
         since_s: Seconds since the last image: what failed before it shows at the next.
         failures_per_s: Rate at which odometry begins to fail.
         failure_s: How long that lasts on average, seconds.
-        leaps: Whether the motion is one that no camera makes: it is useless.
 
     Source: Blom and Bar-Shalom, "The interacting multiple model algorithm for systems with Markovian switching
     coefficients", 1988.
@@ -146,8 +144,7 @@ def with_regimes(
     heavy = hypotheses.log_weights > np.log(_HEAVY)
     right, failed = (np.flatnonzero(heavy & (is_right == (hypotheses.regime == RIGHT))) for is_right in (True, False))
     fails, ceases = -np.expm1(-failures_per_s * since_s), -np.expm1(-since_s / failure_s)
-    fails, ceases = _LEAPS if leaps else min(float(fails), _MOST), min(float(ceases), 1.0 - 1e-9)
-    biased = 0.0 if leaps else fails / 2.0
+    fails, ceases = min(float(fails), _MOST), min(float(ceases), 1.0 - 1e-9)
     log_weights = hypotheses.log_weights.copy()
     log_weights[right] += np.log1p(-fails)
     log_weights[failed] += np.log1p(-ceases)
@@ -157,11 +154,11 @@ def with_regimes(
     known, of_known = odometry_bias_of(hypotheses)
     parts = [unchecked_replace(hypotheses, log_weights=log_weights)]
     for of, part, regime, mean, covariance in (
-        (right, biased, BIASED, np.zeros(6), np.diag(np.square(wrong))),
-        (right, fails - biased, USELESS, np.zeros(6), np.eye(6)),
+        (right, fails / 2.0, BIASED, np.zeros(6), np.diag(np.square(wrong))),
+        (right, fails / 2.0, USELESS, np.zeros(6), np.eye(6)),
         (failed, ceases, RIGHT, known[1:], of_known[1:, 1:]),
     ):
-        if len(of) and part > 0.0:
+        if len(of):
             switched = hypotheses[of].reweighted(np.full(len(of), np.log(part)))
             regimes = np.full(len(of), regime)
             parts.append(unchecked_replace(with_drift(switched, mean, covariance), regime=regimes))
@@ -169,22 +166,30 @@ def with_regimes(
 
 
 def unknown_velocity(noise: MeasurementNoise, gap: GapConfig) -> OdometryBias:
-    """The velocity of a camera whose odometry is useless: two new views a second, in the units of the map."""
-    speed, turn = _VIEWS_PER_S * noise.length_m, gap.turn_rad_per_s
+    """The velocity of a camera whose odometry is useless: two new views a second, and turns as in a gap."""
+    speed, turn = min(_VIEWS_PER_S * noise.length_m, _FASTEST), gap.turn_rad_per_s
     return OdometryBias(scale=0.0, drift=(speed, speed, speed, turn, turn, turn), time_s=gap.time_s)
 
 
-def leaps(odometry: Odometry, velocity: OdometryBias, gap: GapConfig) -> bool:
-    """Whether a motion is ten times as fast as an unknown one: a pose was reset, or tracking jumped.
+def leaps(odometry: Odometry, usual_m_per_s: float, noise: MeasurementNoise) -> bool:
+    """Whether a motion is further than a new view, and ten times as fast as usual: a reset pose, or a jump of tracking.
 
     Args:
         odometry: The motion.
-        velocity: See `unknown_velocity`.
-        gap: Motion where odometry is missing.
+        usual_m_per_s: See `usual_speed`; at least two new views a second are usual.
+        noise: Of the images, whose lengths make a view a new one.
     """
-    assert velocity.drift is not None
-    fastest = _LEAP * max(velocity.drift[0], gap.speed_m_per_s)
-    return 0.0 < fastest * odometry.duration_s < float(np.linalg.norm(odometry.tangent[:3]))
+    distance_m = float(np.linalg.norm(odometry.tangent[:3]))
+    fastest = _LEAP * max(_VIEWS_PER_S * noise.length_m, usual_m_per_s)
+    return distance_m > noise.length_m and 0.0 < fastest * odometry.duration_s < distance_m
+
+
+def usual_speed(before_m_per_s: float, odometry: Odometry) -> float:
+    """The average speed by odometry over some seconds, after a motion."""
+    if odometry.duration_s <= 0.0:
+        return before_m_per_s
+    speed = float(np.linalg.norm(odometry.tangent[:3])) / odometry.duration_s
+    return before_m_per_s - float(np.expm1(-odometry.duration_s / _USUAL_S)) * (speed - before_m_per_s)
 
 
 def moved(
@@ -228,7 +233,7 @@ def across_gap(
 
     Args:
         hypotheses: Before.
-        velocity: `GapConfig.velocity`.
+        velocity: `GapConfig.velocity`, or `unknown_velocity`.
         duration_s: Seconds of it.
         distances: Normalized distance that the camera of each source likely moved.
     """

@@ -15,7 +15,7 @@ from filtering.association import Correlation, correct, evidence, gate
 from filtering.belief import Belief
 from filtering.births import BIRTHS
 from filtering.cameras import CameraMemory
-from filtering.config import GapConfig, LocalizerConfig
+from filtering.config import LocalizerConfig
 from filtering.errors import VaporTrackError
 from filtering.estimate import Estimate, Mode, Status, describe_modes
 from filtering.hypotheses import (
@@ -33,7 +33,7 @@ from filtering.mixture_reduction import reduce_mixture
 from filtering.motion import Odometry, OdometryBias, require_odometry
 from filtering.observation import Observation, View
 from filtering.posterior import PosePosterior
-from filtering.prediction import across_gap, leaps, moved, unknown_velocity, with_regimes
+from filtering.prediction import across_gap, leaps, moved, unknown_velocity, usual_speed, with_regimes
 from filtering.prediction import predict as predict_hypotheses
 from filtering.unchecked import unchecked_replace
 
@@ -78,34 +78,37 @@ def predict(
     if belief.hypotheses is None:
         return belief
     if odometry is None:
-        return _across_gap(belief, elapsed_s, config.gap)
+        return _across_gap(belief, elapsed_s, config)
     require_odometry(odometry)
-    hypotheses = belief.hypotheses
+    noise, usual = noise_of(belief), belief.usual_m_per_s
+    belief = unchecked_replace(belief, usual_m_per_s=usual_speed(usual, odometry))
+    if config.odometry_failures_per_s > 0.0 and leaps(odometry, usual, noise):
+        return _across_gap(belief, odometry.duration_s, config)
+    hypotheses = hypotheses_of(belief)
     if belief.drift is not None:  # a gap has ended
         hypotheses = with_drift(hypotheses, *belief.drift)
-    noise, bias = noise_of(belief), config.odometry_bias
-    velocity = unknown_velocity(noise, config.gap)
+    bias, velocity = config.odometry_bias, unknown_velocity(noise, config.gap)
     after = {name: camera.predict(odometry) for name, camera in belief.cameras.items()}
     distances = _by_source(after)
-    leapt = leaps(odometry, velocity, config.gap)
-    if sees or leapt:  # without images another failure would not show
+    if sees:  # without images a failure would not show
         since_s = belief.unseen_s + odometry.duration_s
         rates = config.odometry_failures_per_s, config.odometry_failure_s
-        hypotheses = with_regimes(hypotheses, odometry, bias, noise, since_s, *rates, leaps=leapt)
+        hypotheses = with_regimes(hypotheses, odometry, bias, noise, since_s, *rates)
     after_motion = moved(hypotheses, odometry, bias, velocity, distances)
     return unchecked_replace(
         belief,
         hypotheses=after_motion,
         cameras={name: camera for name, (camera, _) in after.items()},
-        known=belief.known.carried(hypotheses.poses, after_motion.poses),
+        known=belief.known.carried(hypotheses, after_motion.poses, noise, config.modes),
         drift=None,
         unseen_s=belief.unseen_s + odometry.duration_s,
         normalized_distance=belief.normalized_distance + distances[0],
     )
 
 
-def _across_gap(belief: Belief, elapsed_s: float, gap: GapConfig) -> Belief:
+def _across_gap(belief: Belief, elapsed_s: float, config: LocalizerConfig) -> Belief:
     """Move the belief without odometry: the drift of each hypothesis is the velocity of the camera until it returns."""
+    gap = config.gap
     likely = gap.speed_m_per_s * elapsed_s, gap.turn_rad_per_s * elapsed_s
     after = {name: camera.across_gap(*likely) for name, camera in belief.cameras.items()}
     hypotheses, distances, drift = hypotheses_of(belief), _by_source(after), belief.drift
@@ -120,7 +123,7 @@ def _across_gap(belief: Belief, elapsed_s: float, gap: GapConfig) -> Belief:
         belief,
         hypotheses=after_gap,
         cameras={name: camera for name, (camera, _) in after.items()},
-        known=belief.known.carried(hypotheses.poses, after_gap.poses),
+        known=belief.known.carried(hypotheses, after_gap.poses, noise_of(belief), config.modes),
         drift=drift,
         agreement=0.0 if forgets else belief.agreement,
         unseen_s=belief.unseen_s + elapsed_s,

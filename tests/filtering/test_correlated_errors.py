@@ -88,7 +88,7 @@ def test_looking_around_does_not_take_an_error_of_position_away():
     """It is along the axes of the map: of the camera's own, it would differ from the camera's place as that turns."""
     noise = replace(ERRORS, length_rad=1e3)
     localizer, turn = ParticleLocalizer(None, rng=RNG(0)), Poses.exp(np.array([0, 0, 0, 0, 0, 0.1]))
-    pose, off = Poses.identity(), np.array([0.1, 0.0, 0.0])
+    pose, off = Poses.exp(np.array([0, 0, 0, 0, 0, 1.2])), np.array([0.1, 0.0, 0.0])
     for i in range(126):
         seen = Poses(pose.rotation[None], off[None])
         estimate = localizer.update(seen_at(seen, noise=noise), Odometry(turn, np.diag(AT_REST**2), 0.1) if i else None)

@@ -12,7 +12,7 @@ from filtering.measurement_noise import MeasurementNoise
 from filtering.mixture_reduction import reduce_mixture
 from filtering.motion import Odometry, OdometryBias
 from filtering.posterior import PosePosterior
-from filtering.prediction import leaps, moved, unknown_velocity, with_regimes
+from filtering.prediction import leaps, moved, usual_speed, with_regimes
 from filtering.se3 import Poses
 from filtering.unchecked import unchecked_replace
 from tests.filtering.test_hypotheses import bank
@@ -77,30 +77,52 @@ def test_a_motion_moves_each_hypothesis_where_it_is():
     assert after.log_weights.tolist() == before.log_weights.tolist()
 
 
-def test_a_motion_that_no_camera_makes_is_useless():
+def test_a_motion_that_no_camera_makes_is_one_far_faster_than_usual():
     far = Odometry(Poses.exp(np.array([3.0, 0, 0, 0, 0, 0])), STEP.covariance, 0.1)
-    unknown = unknown_velocity(MeasurementNoise(), GapConfig())
-    assert leaps(far, unknown, GapConfig())
-    assert not leaps(STEP, unknown, GapConfig())
-    assert not leaps(replace(far, duration_s=2.5), unknown, GapConfig())
-    assert not leaps(replace(far, duration_s=0.0), unknown, GapConfig())  # nobody knows how fast
-    after = with_regimes(bank(2), far, BIAS, MeasurementNoise(), 0.1, 0.005, 5.0, leaps=True)
-    assert weight(after, USELESS) == pytest.approx(0.99)
-    assert weight(after, RIGHT) == pytest.approx(0.01)
+    assert leaps(far, 0.0, MeasurementNoise())
+    assert not leaps(far, 4.0, MeasurementNoise())  # of a camera that is fast
+    assert not leaps(STEP, 0.0, MeasurementNoise())
+    assert not leaps(replace(STEP, duration_s=0.001), 0.0, MeasurementNoise())  # fast, but no further than a view
+    assert not leaps(replace(far, duration_s=2.5), 0.0, MeasurementNoise())
+    assert not leaps(replace(far, duration_s=0.0), 0.0, MeasurementNoise())  # nobody knows how fast
+
+
+def test_the_usual_speed_is_learned():
+    speed = 0.0
+    for _ in range(100):
+        speed = usual_speed(speed, STEP)
+    assert speed == pytest.approx(0.1 / 0.1, rel=0.15)
+    assert usual_speed(speed, replace(STEP, duration_s=0.0)) == speed
 
 
 @pytest.mark.usefixtures("unchecked")
-def test_a_jump_of_odometry_to_another_place_that_looks_alike_is_not_obeyed():
-    localizer = ParticleLocalizer(None, rng=np.random.default_rng(0))
+@pytest.mark.parametrize("unit", [1 / 30, 1.0, 30.0])
+def test_a_jump_of_odometry_to_another_place_that_looks_alike_is_not_obeyed(unit):
+    localizer, noise = ParticleLocalizer(None, rng=np.random.default_rng(0)), MeasurementNoise().scaled(unit)
+    covariance, identities = STEP.covariance * np.multiply.outer(*[np.repeat([unit, 1.0], 3)] * 2), []
     for i in range(60):
         both = np.zeros((2, 6))
-        both[:, 0], both[1, 1] = 0.1 * i, 8.0
+        both[:, 0], both[1, 1] = 0.1 * unit * i, 8.0 * unit
         seen = Poses.exp(both[:1] if i < 30 else both)
-        jump = np.array([0.1, 8.0 if i == 40 else 0.0, 0, 0, 0, 0])
-        posterior = PosePosterior.from_estimates(seen, 0.05, 0.03, MeasurementNoise())
-        estimate = localizer.update(posterior, Odometry(Poses.exp(jump), STEP.covariance, 0.1) if i else None)
-    assert abs(estimate.modes[0].world_from_camera.translation[1]) < 0.3
+        jump = unit * np.array([0.1, 8.0 if i == 40 else 0.0, 0, 0, 0, 0])
+        posterior = PosePosterior.from_estimates(seen, 0.05 * unit, 0.03, noise)
+        estimate = localizer.update(posterior, Odometry(Poses.exp(jump), covariance, 0.1) if i else None)
+        identities.append(estimate.modes[0].identity)
+    assert abs(estimate.modes[0].world_from_camera.translation[1]) < 0.3 * unit
     assert estimate.status == "converged"
+    assert len(set(identities)) == 1
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_a_car_is_followed_from_the_start():
+    """Noise that is stated for a room: 30 m/s are 60 new views a second."""
+    localizer, car = ParticleLocalizer(None, rng=np.random.default_rng(0)), np.array([3.0, 0, 0, 0, 0, 0])
+    for i in range(60):
+        posterior = PosePosterior.from_estimates(Poses.exp(i * car[None]), 0.05, 0.03, MeasurementNoise())
+        estimate = localizer.update(posterior, Odometry(Poses.exp(car), STEP.covariance, 0.1) if i else None)
+        if i >= 20:
+            assert estimate.status == "converged"
+            assert estimate.modes[0].world_from_camera.translation[0] == pytest.approx(3.0 * i, abs=0.2)
 
 
 def test_no_rate_is_no_failure():
