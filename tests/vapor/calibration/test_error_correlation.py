@@ -137,6 +137,19 @@ def test_few_images_give_no_lengths_that_run_away(passes, count):
     assert {each.length_rad for each in found} == {0.4}  # of a camera that never turns nothing is learned
 
 
+def test_errors_that_last_along_the_map_are_found_while_the_camera_turns():
+    rng = np.random.default_rng(1)
+    walked, normal = walk(500, STEP, rng=rng), correlated(500, 2.0, 0.65, rng=rng)
+    turned = Rotation.from_rotvec(np.outer(0.3 * np.arange(500), [0.0, 0.0, 1.0])).as_matrix()
+    truth = Poses(turned, walked.translation)
+    normal[:, :3] = np.einsum("nji,nj->ni", turned, normal[:, :3])  # in the camera's frame
+    samples = posteriors(truth, replace(TRUE, outlier_probability=1e-9), normal, rng=rng)
+    travel = replace(Travel.along(truth, np.zeros(500, np.int64)), radians=np.zeros(500))
+    noise = fit(samples, truth, travel).noise
+    assert 1.0 < noise.length_m < 4.0
+    assert noise.correlated_fraction > 0.55
+
+
 def test_errors_of_position_are_along_the_map_and_those_of_rotation_along_the_camera():
     quarter = Rotation.from_rotvec([0.0, 0.0, np.pi / 2]).as_matrix()
     found = along_map(np.arange(1.0, 7.0)[None], Poses(quarter[None], np.zeros((1, 3))))
