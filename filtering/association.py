@@ -24,7 +24,7 @@ Of = TypeVar("Of")
 
 _GATE = 36.0  # times the summed variances of position, and of rotation: a coarse gate before any Mahalanobis distance
 _LEAST = 1e-3  # fraction of a hypothesis that goes on as one of its own; smaller ones go to its other parts
-_DENSITY = 0.5  # power of the likelihoods of hypotheses at one place: with 1, regions of 95 % held 89 % of the poses
+_DENSITY = 0.1  # power of the likelihoods of hypotheses at one place: errors of images last longer than modelled
 _SAME_PLACE = 36.0  # squared Mahalanobis distance: hypotheses so near a place are at it
 _LOG_WIDE = 6 * np.log(2.0)  # log volume: innovations twice as wide as the ordinary error, on all axes, are usual
 UNUSUAL = 1.25
@@ -166,8 +166,9 @@ def _shared_by_density(
 ) -> Hypotheses:
     """The same with the weight of all hypotheses at one place shared by how likely each makes the image.
 
-    So of two hypotheses at a place the one wins whose odometry, or whose errors, explain the image. Between places the
-    densities do not count.
+    So of two hypotheses at a place the one wins whose odometry, or whose errors, explain the image; slowly, as where
+    errors last longer than modelled, odometry that fails would explain them as well. Between places the densities do
+    not count.
 
     Args:
         log_seen: Of each pair, the log likelihood of the place.

@@ -78,7 +78,9 @@ class _Nodes(NamedTuple):
 
 
 def possible_at(posterior: PosePosterior, poses: Poses) -> Float64[np.ndarray, " n"]:
-    """How possible poses (n,) are by an image, in [0, 1], as in `filtering.association.evidence`: by the places near.
+    """How possible poses (n,) are by an image, in [0, 1], by the places near.
+
+    As in `filtering.association.evidence` for hypotheses no wider than the places.
 
     Args:
         posterior: Of the image.
