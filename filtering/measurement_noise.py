@@ -27,10 +27,9 @@ class MeasurementNoise:
 
     A cluster of posterior samples with covariance C stands for a place whose error has covariance Σ = spread · C +
     diag(noise_floor²) and the tails of a Student t distribution. Of the error's variance a fraction lasts while the
-    view stays the same, and fades as the camera moves and turns (an Ornstein-Uhlenbeck process along the path); its
-    position is along the axes of the map. Another
+    view stays the same, and fades as the camera moves and turns (an Ornstein-Uhlenbeck process along the path). Another
     fraction never fades; the rest is independent from image to image. So neither standing nor a higher rate adds
-    certainty.
+    certainty. What lasts of an error of position is along the axes of the map (`filtering.hypotheses.along_map`).
 
     Tuples are (x, y, z) along and about the camera's axes, metres and radians.
     """
