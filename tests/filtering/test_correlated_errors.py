@@ -7,6 +7,7 @@ import pytest
 from scipy.stats import chi2
 
 from filtering.config import LocalizerConfig
+from filtering.hypotheses import along_map
 from filtering.localizer import ParticleLocalizer
 from filtering.motion import Odometry, OdometryBias
 from filtering.se3 import Poses
@@ -96,6 +97,18 @@ def test_looking_around_does_not_take_an_error_of_position_away():
     (mode,) = estimate.modes
     assert (stds_of(mode)[:3] > 0.95 * np.sqrt(noise.correlated_fraction) * STD[:3]).all()
     np.testing.assert_allclose(mode.world_from_camera.translation, off, atol=0.01)
+
+
+def test_an_error_along_the_map_is_the_same_from_the_base_of_a_camera_however_it_is_mounted():
+    mount = Poses.exp(np.array([0.5, 0.0, 1.0, 0.3, -0.2, 1.1]))  # reference_from_camera
+    for turned_rad in (0.0, 2.0):
+        seen = Poses.exp(np.array([1.0, 2.0, 0.5, 0.0, 0.1, turned_rad]))
+        posterior = seen_at(seen, std=np.array([0.1, 0.05, 0.02, 0.03, 0.02, 0.01]))
+        of_base = posterior.seen_from(mount)
+        expected = mount.adjoint() @ along_map(posterior.factors, posterior.means.rotation)
+        np.testing.assert_allclose(along_map(of_base.factors, of_base.means.rotation), expected, atol=1e-12)
+        squared = of_base.factors @ np.swapaxes(of_base.factors, 1, 2)
+        np.testing.assert_allclose(squared, of_base.covariances, atol=1e-12)
 
 
 STEP_PER_S = np.array([1.0, 0, 0, 0, 0, 0.2])
