@@ -110,12 +110,9 @@ def evidence(belief: Hypotheses, posterior: PosePosterior, pairs: Sequence[Pairs
     fails = belief.regime[hypothesis] != RIGHT
     near = np.where(fails, near * np.exp(np.minimum(_LOG_WIDE - log_width, 0.0)), near)
     possible = np.minimum(np.bincount(hypothesis, near, minlength=len(belief)), 1.0)
-    excuse, outlier = posterior.excuse(belief.poses), posterior.outlier_probability
-    outliers = outlier + (1.0 - outlier) * excuse
-    elsewhere = outlier / outlier_places
-    mistaken = elsewhere + (1.0 - elsewhere) * excuse
-    log_likelihood = np.log(mistaken + (1.0 - mistaken) * possible)
-    return Evidence(log_likelihood, outliers, float(belief.weights @ fits))
+    excuse = posterior.excuse(belief.poses)
+    log_likelihood = posterior.log_likelihood(possible, excuse, outlier_places)
+    return Evidence(log_likelihood, posterior.outliers(excuse), float(belief.weights @ fits))
 
 
 def correct(

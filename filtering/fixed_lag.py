@@ -14,6 +14,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
+from filtering.chain_solver import (
+    Factors,
+    Graph,
+    covariance_of,
+    covariances_of,
+    factors_of,
+    graph_of,
+    marginalised,
+    prior_factor,
+    solved_from_first,
+    updated,
+)
 from filtering.errors import VaporTrackError
 from filtering.estimate import Mode, ModeConfig
 from filtering.hindsight import FilterStep
@@ -22,22 +34,7 @@ from filtering.measurement_noise import MeasurementNoise
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from filtering.smoothing import SmoothingConfig, Sources
-from filtering.state_chain import (
-    Chain,
-    Factors,
-    Graph,
-    Places,
-    Transition,
-    covariance_of,
-    covariances_of,
-    factors_of,
-    graph_of,
-    marginalised,
-    prior_factor,
-    solved_from_first,
-    unknown_prior,
-    updated,
-)
+from filtering.state_chain import Chain, Places, Transition, unknown_prior
 from filtering.trajectory_search import SearchStep, most_probable_path
 
 _NOTHING = PosePosterior.uninformative()

@@ -196,6 +196,28 @@ class PosePosterior:
             return np.zeros(len(poses))
         return self.mapped.excuse(poses)
 
+    def outliers(self, excuse: Float64[np.ndarray, " n"], outlier_places: float = 1.0) -> Float64[np.ndarray, " n"]:
+        """Probability, at each of n poses, that no place of the image is the true one though the pose is right, (n,).
+
+        Args:
+            excuse: Of the poses, see `excuse`, (n,).
+            outlier_places: An outlier shows one of so many places.
+        """
+        outlier = self.outlier_probability / outlier_places
+        return outlier + (1.0 - outlier) * excuse
+
+    def log_likelihood(
+        self, possible: Float64[np.ndarray, " n"], excuse: Float64[np.ndarray, " n"], outlier_places: float
+    ) -> Float64[np.ndarray, " n"]:
+        """Log likelihood of n poses, from the log of the probability of an outlier to 0, (n,).
+
+        Args:
+            possible: How possible each is by the places near it, in [0, 1], (n,).
+            excuse, outlier_places: See `outliers`.
+        """
+        mistaken = self.outliers(excuse, outlier_places)
+        return np.log(mistaken + (1.0 - mistaken) * possible)
+
     @cached_property
     def possible(self) -> Float64[np.ndarray, " k"]:
         """How possible each place is, in [0, 1], see `MeasurementNoise.possible`.

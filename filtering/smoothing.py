@@ -1,6 +1,6 @@
 """A whole run in hindsight: the smoothed trajectory with covariances, where the camera was carried off, the runner-up.
 
-The end is the filter's; `filtering.trajectory_search` finds which places led there, and `filtering.state_chain` where
+The end is the filter's; `filtering.trajectory_search` finds which places led there, and `filtering.chain_solver` where
 in them the camera was, by the filter's model of motion, measurements and correlated errors.
 """
 
@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from filtering.cameras import CameraMemory
+from filtering.chain_solver import solve
 from filtering.config import GapConfig, LocalizerConfig
 from filtering.errors import VaporTrackError, require_within
 from filtering.estimate import Mode
@@ -24,7 +25,7 @@ from filtering.motion import Odometry, OdometryBias
 from filtering.observation import Observation
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
-from filtering.state_chain import Places, Transition, solve, transition, unknown_prior
+from filtering.state_chain import Places, Transition, transition, unknown_prior
 from filtering.trajectory_search import Path, SearchStep, most_probable_path
 
 

@@ -175,9 +175,8 @@ def _log_likelihood(step: SearchStep, poses: Poses, power: float | None = None) 
     if step.posterior.is_uninformative:
         return np.zeros(len(poses))
     power = max(step.likelihood_power, _LEAST_POWER) if power is None else power
-    outlier = step.posterior.outlier_probability / step.outlier_places
-    outliers = outlier + (1.0 - outlier) * step.posterior.excuse(poses)
-    return power * np.log(outliers + (1.0 - outliers) * possible_at(step.posterior, poses))
+    possible, excuse = possible_at(step.posterior, poses), step.posterior.excuse(poses)
+    return power * step.posterior.log_likelihood(possible, excuse, step.outlier_places)
 
 
 def squared_distances(posterior: PosePosterior, poses: Poses) -> Float64[np.ndarray, "n k"]:
