@@ -9,3 +9,7 @@ class SequenceError(VaporTrackError):
 
 class NotFoundError(SequenceError):
     """Something is missing in a recording; a running system may still send it."""
+
+
+class NoOdometryError(NotFoundError):
+    """A recording has no odometry at all."""

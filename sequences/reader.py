@@ -31,6 +31,7 @@ class SequenceReader:
         notices: Sentences for users on the camera, the odometry and the true poses; complete after an iteration.
         camera: Intrinsics of the undistorted images, as the file states their size; None where it has none.
         base_from_camera: Extrinsics, one pose; None where odometry is not read.
+        has_odometry: Whether it is read.
         num_images: Images in the whole file, for progress.
         image_description: Origin of the images by the file's metadata, as `synthetic`; None where it states none.
         odometry_description: Origin of the odometry, likewise.
@@ -49,8 +50,9 @@ class SequenceReader:
         Args:
             path: MCAP file, rosbag2 folder or ROS 1 bag.
             options: What to read; None for all of it, as found.
-            odometry: "required" reads it, and skips the images that it does not cover. "optional" gives images it where
-                it can be found, without a choice to make, and skips none for lack of it. "unread" ignores it.
+            odometry: "required" reads it, and skips the images that it does not cover. "auto" does so where there is
+                any, and does without where there is none. "optional" gives images it where it can be found, without a
+                choice to make, and skips none for lack of it. "unread" ignores it.
             true_poses: "required" fails where none are found, with the candidates, and where none is of the time of an
                 image. "optional" does without.
 
@@ -72,6 +74,7 @@ class SequenceReader:
         self.camera = self._image_camera.camera
         extrinsics = self._roles.extrinsics
         self.base_from_camera: Poses | None = extrinsics.body_from_camera if extrinsics is not None else None
+        self.has_odometry = self._roles.open_odometry() is not None
         said_of_itself = self._bag.metadata.get(METADATA_NAME, {})
         self.image_description = said_of_itself.get("images")
         self.odometry_description = said_of_itself.get("odometry")

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from filtering.posterior import PosePosterior as PosePosterior
     from filtering.se3 import Poses as Poses
     from filtering.storeys import Storeys as Storeys
+    from sequences.image_sequence import ImageSequence as ImageSequence
     from sequences.reader import SequenceReader as SequenceReader
     from vapor.calibration.calibrate import calibrate_model as calibrate_model
     from vapor.landmarks.verify import LandmarkVerifier as LandmarkVerifier
@@ -44,6 +45,7 @@ _MODULES = {
     "Innovation": "filtering.estimate",
     "ModeTrajectory": "vapor.tracking.mode_trajectories",
     "Storeys": "filtering.storeys",
+    "ImageSequence": "sequences.image_sequence",
     "LandmarkVerifier": "vapor.landmarks.verify",
     "LiveConfig": "vapor.robot.config",
     "LiveEstimate": "vapor.robot.belief",

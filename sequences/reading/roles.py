@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 
 from filtering.se3 import Poses
-from sequences.errors import NotFoundError, SequenceError
+from sequences.errors import NoOdometryError, NotFoundError, SequenceError
 from sequences.frame import Trajectory
 from sequences.images.decoding import decode_compressed_image, decode_image
 from sequences.images.video import ImageStream, Video
@@ -42,7 +42,7 @@ class Roles:
         self.image = image
         self._bag, self.path, self.options = bag, bag.path, options
         self.open_images()  # what it needs may not be installed
-        self.odometry_required = odometry == "required"
+        self.odometry_required = odometry in ("required", "auto")
         self.truth_required = true_poses == "required"
         self.odometry: Topic | None = None
         self.odometry_frame = ""  # that its poses are in, where it is read
@@ -53,9 +53,10 @@ class Roles:
         if odometry != "unread":
             try:
                 mount = self._find_odometry(mount)
-            except SequenceError:
-                if self.odometry_required:
+            except SequenceError as error:
+                if self.odometry_required and not (odometry == "auto" and isinstance(error, NoOdometryError)):
                     raise
+                self.odometry_required = False
                 self.odometry = self.tree_odometry = self.extrinsics = None
         needed = self.truth_required and options.ground_truth_topic != ""  # an empty name asks for none
         self.truth = find_true_poses(bag, options, mount, required=needed, odometry=self._odometry_track)
@@ -109,7 +110,7 @@ class Roles:
             try:
                 return self._take_tree(mount)
             except NotFoundError as without:
-                raise NotFoundError(f"{error}; {str(without).removeprefix(f'{bag.path}: ')}") from error
+                raise NoOdometryError(f"{error}; {str(without).removeprefix(f'{bag.path}: ')}") from error
         assert topic is not None
         self.odometry = topic
         message = first(bag, topic)

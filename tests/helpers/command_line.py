@@ -1,6 +1,7 @@
 """Calls of the command, and checks of its output."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -19,8 +20,8 @@ def main(words: list[str]) -> int:
     return benchmark.main(words[1:]) if words[:1] == [PROGRAM] else track.main(words)
 
 
-def words_of_run(sequence: Path | str, model: Path | str, output: Path) -> list[str]:
-    return ["run", str(sequence), "--model", str(model), "--output", str(output), *SMALL, "--no-recording"]
+def words_of_run(sequence: Path | str, model: Path | str, output: Path, options: Sequence[str] = ()) -> list[str]:
+    return ["run", str(sequence), "--model", str(model), "--output", str(output), *SMALL, "--no-recording", *options]
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -42,13 +43,20 @@ def refuse(words: list[str], capsys: pytest.CaptureFixture[str], *said: object) 
     return err
 
 
-def refuse_run(sequence: Path, model: Path | str, earlier: Path, capsys: pytest.CaptureFixture[str], *said: object):
+def refuse_run(
+    sequence: Path,
+    model: Path | str,
+    earlier: Path,
+    capsys: pytest.CaptureFixture[str],
+    *said: object,
+    options: Sequence[str] = (),
+):
     """`refuse`, into a new directory and into one that holds a result: neither may change."""
     inputs = contents(earlier.parent)
     new = earlier.parent / "new"
-    line = refuse(words_of_run(sequence, model, new), capsys, *said)
+    line = refuse(words_of_run(sequence, model, new, options), capsys, *said)
     assert not new.exists()
-    assert refuse(words_of_run(sequence, model, earlier), capsys) == line
+    assert refuse(words_of_run(sequence, model, earlier, options), capsys) == line
     assert contents(earlier.parent) == inputs
 
 

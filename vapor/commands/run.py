@@ -37,8 +37,8 @@ class Options:
     """Localize the camera of recorded sequences; write trajectories, report and recordings of each."""
 
     sequences: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="SEQUENCE ...")]
-    """MCAP files, rosbag2 folders or ROS 1 bags with images and odometry; any other folder stands for all
-    that are in it."""
+    """MCAP files, rosbag2 folders or ROS 1 bags with images and odometry; or images alone: video files, or folders of
+    images. Any other folder stands for all that are in it."""
     model: str
     """Model file, or name of a model that ships with the package: staircase, ceiling."""
     output: OutputPath

@@ -14,6 +14,7 @@ import numpy as np
 
 from filtering.errors import VaporTrackError
 from sequences.atomic import atomic_output
+from sequences.image_sequence import VIDEO_SUFFIXES
 from sequences.options import SequenceOptions
 from sequences.outputs import folder_to_write, refuse_other, require_replaceable
 from sequences.recordings.recording_file import SUFFIXES
@@ -27,6 +28,7 @@ from vapor.reporting.report import is_report
 if TYPE_CHECKING:
     from rich.table import Table
 
+_FILES = (*SUFFIXES, *VIDEO_SUFFIXES)
 SUMMARY = "summary.json"
 """Name of the file on the results of many sequences, beside these."""
 
@@ -39,9 +41,10 @@ def is_batch(paths: Sequence[Path]) -> bool:
 def find_sequences(paths: Sequence[Path], output: Path) -> dict[str, Path]:
     """Sequences by the names of their results, in order.
 
-    A file or a rosbag2 folder is a sequence. Any other folder stands for all recordings below it but for results of
-    earlier runs; an empty one stands for itself, and fails when it is opened. A sequence found twice is listed once. A
-    name is that of the file or folder, preceded by folders above it where others have it too.
+    A file or a rosbag2 folder is a sequence. Any other folder stands for all recordings and videos below it but for
+    results of earlier runs; where there are none, for itself: its images, or an error when it is opened. A sequence
+    found twice is listed once. A name is that of the file or folder, preceded by folders above it where others have it
+    too.
     """
     found: dict[Path, Path] = {}
     for path in paths:
@@ -61,7 +64,7 @@ def _found_in(path: Path, leave_out: Path | None = None) -> list[Path]:
             not entry.is_symlink() or (entry / "metadata.yaml").is_file()
         ):  # links may run in circles
             sequences += _found_in(entry, leave_out)
-        elif entry.suffix in SUFFIXES and entry.is_file():
+        elif entry.suffix.lower() in _FILES and entry.is_file():
             is_result = entry.name == "estimate.mcap" and entry.with_name("report.json").is_file()
             sequences += [] if is_result else [entry]
     return sequences
@@ -69,7 +72,7 @@ def _found_in(path: Path, leave_out: Path | None = None) -> list[Path]:
 
 def unique_names(sequences: Sequence[Path]) -> list[str]:
     """The shortest distinct names of sequences; numbered where whole paths are alike, as with `a.mcap` and `a/`."""
-    parts = [(*path.parent.parts[1:], path.stem if path.suffix in SUFFIXES else path.name) for path in sequences]
+    parts = [(*path.parent.parts[1:], path.stem if path.suffix.lower() in _FILES else path.name) for path in sequences]
     lengths = [1] * len(parts)
     while True:
         names = ["-".join(part[-length:]) for part, length in zip(parts, lengths, strict=True)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 from filtering.config import LocalizerConfig
 from filtering.errors import VaporTrackError, require_within
@@ -59,6 +60,10 @@ class ModelConfig(EngineConfig):
 @dataclass(frozen=True)
 class RunConfig(ModelConfig, FilteringConfig):
     """Settings of a run with a regressor, beside the sequence and the model."""
+
+    odometry: Literal["auto", "recorded", "none"] = "auto"
+    """Odometry: as recorded, an error where there is none; none, for images alone, where each hypothesis moves by an
+    unknown velocity; or, by default, the former where there is any."""
 
     def __post_init__(self) -> None:
         ModelConfig.__post_init__(self)

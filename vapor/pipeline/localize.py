@@ -23,6 +23,7 @@ from filtering.observation import Observation
 from filtering.posterior import ObservationModel
 from filtering.storeys import Storeys
 from sequences.estimates.sequence import EstimateSequence
+from sequences.image_sequence import ImageSequence
 from sequences.odometry_fit.result import OdometryFit
 from sequences.reader import SequenceReader
 from vapor.pipeline.config import FilteringConfig
@@ -66,7 +67,7 @@ def ahead(items: Iterable[Item]) -> Iterator[Iterator[Item]]:
 
 
 def localize(
-    source: SequenceReader | EstimateSequence,
+    source: SequenceReader | ImageSequence | EstimateSequence,
     model: ObservationModel,
     directory: Path,
     config: FilteringConfig,
@@ -147,7 +148,7 @@ def localize(
 
 
 @contextmanager
-def _about(frame: Any, source: SequenceReader | EstimateSequence) -> Iterator[None]:
+def _about(frame: Any, source: SequenceReader | ImageSequence | EstimateSequence) -> Iterator[None]:
     try:
         yield
     except VaporTrackError as error:

@@ -9,10 +9,12 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 
+from filtering.errors import VaporTrackError
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from sequences.frame import Camera, Frame
-from sequences.options import SequenceOptions
+from sequences.image_sequence import ImageSequence, is_image_sequence
+from sequences.options import OdometryUse, SequenceOptions
 from sequences.outputs import results_folder
 from sequences.reader import SequenceReader
 from vapor.landmarks.localize import VerifiedPose
@@ -28,6 +30,8 @@ from vapor.reporting.rerun_place import Place
 from vapor.threads import limited_threads
 from vapor.training_data.ground import describe_unshown
 
+_NO_ODOMETRY = "no odometry: each hypothesis moves by an unknown velocity from image to image"
+_USES: dict[str, OdometryUse] = {"auto": "auto", "recorded": "required", "none": "unread"}
 _MOST_KEPT = 7  # images in which landmarks verified a place
 _VerifiedImage = tuple[int, UInt8[np.ndarray, "h w 3"], Camera | None, list[VerifiedPose]]
 
@@ -46,7 +50,7 @@ def run(
     """Localize a recorded sequence and write everything about it into a directory.
 
     Args:
-        sequence: MCAP file, rosbag2 folder or ROS 1 bag.
+        sequence: MCAP file, rosbag2 folder or ROS 1 bag; or images alone: a video file, or a folder of images.
         model: Model file, name of a model that ships with the package, or a model that `load_model` loaded with these
             settings.
         output: Directory for the results, which appear when the run is complete, or not at all. It is absent, empty, or
@@ -85,7 +89,7 @@ def run_into(
 ) -> RunResult:
     """As `run`, but file by file into a directory that exists."""
     reading = reading or SequenceOptions()
-    reader = SequenceReader(sequence, reading)
+    reader = _open(sequence, reading, config)
     observation = model.observation.seen_by(reader.camera)
 
     some: EvenlySpaced[SeenImage] = EvenlySpaced(MOST_IMAGES)
@@ -125,13 +129,21 @@ def run_into(
             "run": asdict(config) | engine,
             "reading": asdict(reading) | reader.resolved,
         }
-        notices = [*reader.notices, *observation.notices]
+        notices = [*([] if reader.has_odometry else [_NO_ODOMETRY]), *reader.notices, *observation.notices]
         if are_unrecognised(record.status) and observation.description.ood_model is not None:
             notices.append(why_unrecognised(some.items, observation.ood_score))
         if (trained := observation.description.memory_poses) is not None:
             notices += filter(None, [describe_unshown(record.methods["smoothed"].poses, trained)])
         result = write_results(record, directory, settings, title=sequence.name, notices=notices, command=command)
         return replace(result, engine=f"{engine['engine']} on {engine['device']}, {config.precision}")
+
+
+def _open(sequence: Path, reading: SequenceOptions, config: RunConfig) -> SequenceReader | ImageSequence:
+    if not is_image_sequence(sequence):
+        return SequenceReader(sequence, reading, odometry=_USES[config.odometry])
+    if config.odometry == "recorded":
+        raise VaporTrackError(f"{sequence}: --odometry recorded with images alone, expected a recording that has any")
+    return ImageSequence(sequence, reading)
 
 
 class VerifiedImages:

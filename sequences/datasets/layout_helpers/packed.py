@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import os
 import zipfile
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import cv2
+import numpy as np
+from jaxtyping import UInt8
 
 from filtering.errors import quoted
 from sequences.errors import SequenceError
@@ -91,9 +94,12 @@ class VideoFile:
         height: Of its frames, pixels.
     """
 
-    def __init__(self, path: Path) -> None:
-        """Open a video. Raises SequenceError where it cannot be read."""
-        self.path = path
+    def __init__(self, path: Path, *, upright: bool = False) -> None:
+        """Open a video, whose frames are `upright` where they are turned by its metadata, as a player shows them.
+
+        Raises SequenceError where it cannot be read.
+        """
+        self.path, self._upright = path, upright
         self._open()
         self.width = int(self._capture.get(cv2.CAP_PROP_FRAME_WIDTH))
         self.height = int(self._capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
@@ -107,11 +113,25 @@ class VideoFile:
             self._capture = cv2.VideoCapture(str(self.path), cv2.CAP_FFMPEG)
         finally:
             cv2.utils.logging.setLogLevel(level)
-        # Intrinsics are of the pixels as they are stored, however the phone was held.
-        self._capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
+        # Stated intrinsics are of the pixels as they are stored, however the phone was held.
+        self._capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, int(self._upright))
         self._next = 0
         if not self._capture.isOpened():
             raise SequenceError(f"{self.path}: cannot be opened as a video, expected a complete file (H.264 or HEVC)")
+
+    def frames(self) -> Iterator[tuple[int, UInt8[np.ndarray, "height width 3"]]]:
+        """All frames in order, with their time stamps: nanoseconds since the beginning, RGB.
+
+        A damaged video ends with the last frame before the damage. Raises SequenceError where there is no frame.
+        """
+        self._open()
+        found, image = self._capture.read()
+        if not found:
+            raise SequenceError(f"{self.path}: no frame can be read, expected a video of H.264 or HEVC")
+        while found and image is not None:
+            self._next += 1
+            yield round(1e6 * self._capture.get(cv2.CAP_PROP_POS_MSEC)), cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+            found, image = self._capture.read()
 
     def frame(self, number: int) -> PackedImage:
         """The image of a frame."""

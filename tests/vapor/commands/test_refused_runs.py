@@ -10,6 +10,8 @@ from tests.helpers import sequence_files
 from tests.helpers.command_line import contents, refuse, refuse_run, words_of_run
 from tests.helpers.sequence_files import IMAGES, ODOMETRY, Walk, rewrite
 from tests.helpers.tiny_model import altered
+from tests.helpers.video_clips import write_clip
+from tests.helpers.video_files import pictures
 from vapor.track import main
 
 NOWHERE = Poses(np.eye(3), np.array([np.nan, 0.0, 0.0]))
@@ -19,7 +21,6 @@ NOWHERE = Poses(np.eye(3), np.array([np.nan, 0.0, 0.0]))
     ("lacking", "said"),
     [
         (IMAGES, ["no image topic", "sensor_msgs/Image or sensor_msgs/CompressedImage", "/odom (nav_msgs/Odometry)"]),
-        (ODOMETRY, ["no odometry topic", "expected one of type nav_msgs/Odometry", "--odometry-frame"]),
         (
             "/tf_static",
             ["no transform from 'base_link' (/odom, child frame) to 'camera_optical_frame'", "--base-from-camera"],
@@ -29,6 +30,16 @@ NOWHERE = Poses(np.eye(3), np.array([np.nan, 0.0, 0.0]))
 def test_a_sequence_that_lacks_a_topic_is_refused(lacking, said, walk_of_25, tiny_model, earlier, capsys):
     path = rewrite(walk_of_25, earlier.parent / "poor.mcap", keep=lambda topic, _: topic != lacking)
     refuse_run(path, tiny_model, earlier, capsys, path.name, *said)
+
+
+def test_recorded_odometry_that_is_missing_is_refused(walk_of_25, tiny_model, earlier, capsys):
+    asked = ["--odometry", "recorded"]
+    path = rewrite(walk_of_25, earlier.parent / "poor.mcap", keep=lambda topic, _: topic != ODOMETRY)
+    said = ["no odometry topic", "expected one of type nav_msgs/Odometry", "--odometry-frame"]
+    refuse_run(path, tiny_model, earlier, capsys, path.name, *said, options=asked)
+    clip = write_clip(earlier.parent / "walk.mp4", pictures(2), [0, 50])
+    said = ["--odometry recorded with images alone, expected a recording that has any"]
+    refuse_run(clip, tiny_model, earlier, capsys, clip.name, *said, options=asked)
 
 
 @pytest.mark.parametrize("name", ["nav2_turtlebot.mcap", "talker.mcap", "only_topics.mcap"])

@@ -1,0 +1,146 @@
+"""Videos and folders of images as sequences: their stamps, what is left out, and what cannot be read."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from filtering.errors import VaporTrackError
+from sequences.errors import SequenceError
+from sequences.frame import Camera
+from sequences.image_sequence import ImageSequence, is_image_sequence
+from sequences.options import SequenceOptions
+from tests.helpers.video_clips import held_upright, write_clip
+from tests.helpers.video_files import pictures
+
+TIMES_MS = [0, 33, 66, 500, 533, 1000, 1010]  # frames that a phone took as it could
+CAMERA = {"width": 192, "height": 128, "fx": 150.0, "fy": 150.0, "cx": 95.5, "cy": 63.5}
+
+
+@pytest.fixture
+def clip(tmp_path: Path) -> Path:
+    return write_clip(tmp_path / "walk.mp4", pictures(len(TIMES_MS)), TIMES_MS)
+
+
+def folder_of(path: Path, names: list[str], suffix: str = ".png") -> Path:
+    path.mkdir()
+    for name, image in zip(names, pictures(len(names)), strict=True):
+        cv2.imwrite(str(path / f"{name}{suffix}"), image[:, :, ::-1])
+    return path
+
+
+def stamps_ms(sequence: ImageSequence) -> list[float]:
+    return [frame.time_ns * 1e-6 for frame in sequence]
+
+
+def test_frames_of_a_video_have_its_stamps_and_its_pixels(clip):
+    sequence = ImageSequence(clip)
+    assert sequence.num_images == len(TIMES_MS)
+    frames = list(sequence)
+    assert [frame.time_ns for frame in frames] == [1_000_000 * time for time in TIMES_MS]
+    for frame, image in zip(frames, pictures(len(TIMES_MS)), strict=True):
+        assert np.abs(frame.image.astype(float) - image).mean() < 6.0
+        assert frame.odometry is None
+        assert frame.world_from_camera is None
+    assert sequence.counts.are_complete
+    assert sequence.counts.used == len(TIMES_MS)
+
+
+def test_every_iteration_reads_a_video_again(clip):
+    sequence = ImageSequence(clip)
+    assert stamps_ms(sequence) == stamps_ms(sequence) == TIMES_MS
+
+
+def test_a_video_of_a_phone_held_upright_is_upright(clip):
+    images = [frame.image for frame in ImageSequence(held_upright(clip))]
+    assert images[0].shape == (96, 64, 3)
+    stored = pictures(len(TIMES_MS))[0].astype(float)
+    assert np.abs(np.rot90(images[0], 1) - stored).mean() < 6.0
+
+
+def test_a_part_of_a_video_is_read(clip):
+    sequence = ImageSequence(clip, SequenceOptions(start_s=0.05, duration_s=0.5))
+    assert stamps_ms(sequence) == [66, 500, 533]
+    assert sequence.counts.skipped == {"outside the stretch asked for": 4}
+    assert sequence.counts.are_complete
+
+
+def test_images_of_a_folder_come_in_natural_order_at_a_stated_rate(tmp_path):
+    folder = folder_of(tmp_path / "images", [f"frame{i}" for i in range(12)])
+    sequence = ImageSequence(folder, SequenceOptions(rate_hz=10.0))
+    frames = list(sequence)
+    assert [frame.time_ns for frame in frames] == [100_000_000 * i for i in range(12)]
+    for frame, image in zip(frames, pictures(12), strict=True):
+        np.testing.assert_array_equal(frame.image, image)
+    assert any("10 images a second are assumed" in notice for notice in sequence.notices)
+
+
+def test_names_that_are_stamps_date_images(tmp_path):
+    names = ["1305031102.175304", "1305031102.211214", "1305031103.5"]
+    assert stamps_ms(ImageSequence(folder_of(tmp_path / "rgb", names))) == [
+        1305031102175.304, 1305031102211.214, 1305031103500.0,
+    ]  # fmt: skip
+
+
+def test_images_that_cannot_be_decoded_are_counted(tmp_path):
+    folder = folder_of(tmp_path / "images", [str(i) for i in range(5)])
+    (folder / "2.png").write_bytes((folder / "2.png").read_bytes()[:100])
+    sequence = ImageSequence(folder)
+    assert len(list(sequence)) == 4
+    assert sequence.skipped.total() == 1
+    assert any("2.png" in notice for notice in sequence.notices)
+    assert sequence.counts.are_complete
+
+
+def test_intrinsics_beside_the_images_are_scaled_to_them(clip, tmp_path):
+    (clip.parent / "intrinsics.json").write_text(json.dumps(CAMERA))
+    camera = Camera(**CAMERA).scaled(96, 64)
+    sequence = ImageSequence(clip)
+    assert sequence.camera == camera
+    assert next(iter(sequence)).camera == camera
+    (folder := folder_of(tmp_path / "images", ["1", "2"])).joinpath("intrinsics.json").write_text(json.dumps(CAMERA))
+    assert ImageSequence(folder).camera == camera
+
+
+def test_images_without_intrinsics_are_said_to_have_none(clip):
+    sequence = ImageSequence(clip)
+    list(sequence)
+    assert sequence.camera is None
+    assert any("expected an intrinsics.json beside the images" in notice for notice in sequence.notices)
+
+
+def test_options_that_do_not_apply_are_refused_by_name(clip):
+    with pytest.raises(SequenceError, match="--image-topic, --odometry-topic with images alone"):
+        ImageSequence(clip, SequenceOptions(image_topic="/a", odometry_topic="/b"))
+
+
+@pytest.mark.parametrize("rate_hz", [0.0, -1.0, float("nan"), float("inf")])
+def test_an_impossible_rate_is_refused(rate_hz):
+    with pytest.raises(VaporTrackError, match="rate_hz"):
+        SequenceOptions(rate_hz=rate_hz)
+
+
+def test_what_is_no_video_is_refused(tmp_path):
+    (tmp_path / "walk.mp4").write_bytes(b"no video at all")
+    with pytest.raises(SequenceError, match=r"walk\.mp4: cannot be opened as a video"):
+        ImageSequence(tmp_path / "walk.mp4")
+    with pytest.raises(SequenceError, match=r"none\.mp4"):
+        ImageSequence(tmp_path / "none.mp4")
+    with pytest.raises(SequenceError, match="no images, expected PNG or JPEG"):
+        ImageSequence(tmp_path)
+
+
+def test_a_segment_without_images_is_an_error(clip):
+    with pytest.raises(SequenceError, match="no image is left: 7 × outside the stretch asked for"):
+        list(ImageSequence(clip, SequenceOptions(start_s=60.0)))
+
+
+def test_recordings_are_no_image_sequences(clip, tmp_path):
+    folder = folder_of(tmp_path / "images", ["1", "2"])
+    assert is_image_sequence(clip)
+    assert is_image_sequence(folder)
+    assert not is_image_sequence(tmp_path / "walk.mcap")
+    (folder / "walk.mcap").write_bytes(b"")
+    assert not is_image_sequence(folder)  # whose images are previews

@@ -1,0 +1,78 @@
+"""Runs on images alone: a video, a folder of images, a recording without odometry or whose odometry is not read."""
+
+from pathlib import Path
+
+import cv2
+import pytest
+
+from sequences.reader import SequenceReader
+from sequences.trajectories.tum import read_tum
+from tests.helpers.command_line import report_of
+from tests.helpers.sequence_files import ODOMETRY, rewrite
+from tests.helpers.tiny_model import SMALL
+from tests.helpers.video_clips import write_clip
+from tests.helpers.video_files import pictures
+from vapor.pipeline.batch import find_sequences
+from vapor.track import main
+
+SAID = "no odometry: each hypothesis moves by an unknown velocity"
+
+
+def run(sequence: Path, model: Path, output: Path, *words: str) -> int:
+    return main(
+        ["run", str(sequence), "--model", str(model), "--output", str(output), *SMALL, "--no-recording", *words]
+    )
+
+
+@pytest.fixture
+def clip(tmp_path: Path) -> Path:
+    return write_clip(tmp_path / "clips" / "walk.mp4", pictures(9), range(0, 450, 50))
+
+
+@pytest.fixture
+def images(walk_of_25: Path, tmp_path: Path) -> Path:
+    """The images of the walk as files named by their stamps."""
+    (folder := tmp_path / "images").mkdir()
+    for frame in SequenceReader(walk_of_25):
+        cv2.imwrite(str(folder / f"{frame.time_ns * 1e-9:.6f}.png"), frame.image[:, :, ::-1])
+    return folder
+
+
+@pytest.fixture
+def without(walk_of_25: Path, tmp_path: Path) -> Path:
+    """The walk as a recording without odometry."""
+    return rewrite(walk_of_25, tmp_path / "without.mcap", keep=lambda topic, _: topic != ODOMETRY)
+
+
+def test_a_video_is_localized(clip, tiny_model, tmp_path, capsys):
+    assert run(clip, tiny_model, tmp_path / "out") == 0
+    assert SAID in capsys.readouterr().out
+    report = report_of(tmp_path / "out")
+    assert report["images"] == {"stated": 9, "read": 9, "used": 9, "skipped": {}}
+    assert report["duration_s"] == pytest.approx(0.4)
+    assert read_tum(tmp_path / "out" / "trajectory.tum").times_ns.tolist() == [50_000_000 * i for i in range(9)]
+
+
+def test_a_recording_without_odometry_gives_what_its_images_give(without, walk_of_25, images, tiny_model, tmp_path):
+    assert run(without, tiny_model, tmp_path / "without") == 0
+    assert run(walk_of_25, tiny_model, tmp_path / "unread", "--odometry", "none") == 0
+    assert run(images, tiny_model, tmp_path / "folder") == 0
+    found = [read_tum(tmp_path / name / "trajectory.tum").poses.translation for name in ("without", "unread", "folder")]
+    assert found[0].shape == (25, 3)
+    assert found[0].tolist() == found[1].tolist()
+    assert abs(found[0] - found[2]).max() < 1e-3  # names state microseconds
+    assert report_of(tmp_path / "without")["frames_with_true_pose"] == 25
+
+
+def test_odometry_is_used_where_there_is_any(walk_of_25, tiny_model, tmp_path, capsys):
+    assert run(walk_of_25, tiny_model, tmp_path / "auto") == 0
+    assert SAID not in capsys.readouterr().out
+    assert run(walk_of_25, tiny_model, tmp_path / "recorded", "--odometry", "recorded") == 0
+    auto, recorded = ((tmp_path / name / "trajectory.tum").read_text() for name in ("auto", "recorded"))
+    assert auto == recorded
+
+
+def test_videos_in_a_folder_are_sequences_and_images_beside_them_are_not(clip, tmp_path):
+    cv2.imwrite(str(clip.parent / "preview.png"), pictures(1)[0])
+    assert list(find_sequences([clip.parent], tmp_path / "out").values()) == [clip]
+    assert find_sequences([clip], tmp_path / "out") == {"walk": clip}
