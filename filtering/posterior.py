@@ -197,7 +197,7 @@ class PosePosterior:
         return self.mapped.excuse(poses)
 
     def outliers(self, excuse: Float64[np.ndarray, " n"], outlier_places: float = 1.0) -> Float64[np.ndarray, " n"]:
-        """Probability, at each of n poses, that no place of the image is the true one though the pose is right, (n,).
+        """Probability, at each of n right poses, that the image shows another place, or one of so many others, (n,).
 
         Args:
             excuse: Of the poses, see `excuse`, (n,).

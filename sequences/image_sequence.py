@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import fields
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import UInt8
 
-from sequences.datasets.layout_helpers.image_files import decoded_file, find_camera, images_in
+from filtering.errors import VaporTrackError
+from sequences.datasets.layout_helpers.image_files import decoded_file, find_camera, images_in, size_of_first
 from sequences.datasets.layout_helpers.packed import VideoFile
 from sequences.errors import SequenceError
 from sequences.files import Rows
-from sequences.frame import Camera, Frame
+from sequences.frame import ASSUMED_HZ, Camera, Frame
 from sequences.images.headers import why_skipped
-from sequences.images.undistortion import Lens, pinhole_of, undistorted
+from sequences.images.undistortion import Lens, pinhole_of, same_aspect, undistorted
 from sequences.options import SequenceOptions
 from sequences.reading.counts import OUTSIDE, ImageCounts
+from sequences.reading.frame_pairing import RequestedSegment
 from sequences.recordings.recording_file import SUFFIXES
 from sequences.trajectories.pose_lines import stamp_ns, stamp_of
 from sequences.values import natural
@@ -27,24 +30,29 @@ from sequences.values import natural
 VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".mkv", ".avi", ".webm")
 """Of video files."""
 
-_USED = frozenset({"undistort", "start_s", "duration_s", "rate_hz", "allow_few_images"})  # options that apply
+_USED = frozenset({"undistort", "start_s", "duration_s", "allow_few_images"})  # options that apply
 _NOT_INCREASING = "time stamp not increasing"
-_Dated = tuple[int, UInt8[np.ndarray, "height width 3"] | str]
+_READABLE = 0.95  # of the frames that a video states: some formats state a few too many
+_RATES_HZ = 1e-3, 1e6
+_Image = UInt8[np.ndarray, "height width 3"]
+_Dated = tuple[int, Callable[[], _Image | str]]
 
 
 def is_image_sequence(path: Path) -> bool:
     """Whether a path is a video file by its name, or a folder with images and without a recording in it."""
     if not path.is_dir():
         return path.suffix.lower() in VIDEO_SUFFIXES
-    return bool(images_in(path)) and not any(file.suffix in SUFFIXES for file in path.iterdir())
+    recorded = (path / "metadata.yaml").is_file() or any(file.suffix.lower() in SUFFIXES for file in path.iterdir())
+    return not recorded and bool(images_in(path))
 
 
 class ImageSequence:
     """Frames of a video file or of a folder of images, read as a stream; every iteration reads them again.
 
     Frames of a video have its time stamps, and are as a player shows them, turned by its metadata. Images of a folder
-    are in the order of their names, with the stamps that their names state (`1305031102.175304.png`), or so many a
-    second. Intrinsics are those of an `intrinsics.json` beside the video or the images, of any size of the image.
+    are as they are stored, in the order of the stamps that all their names state (`1305031102.175304.png`), or else of
+    their names, so many a second. Intrinsics are those of an `intrinsics.json` in the folder of the video or of the
+    images, or in the one above; they are of images of any size, but of the same aspect ratio.
 
     Attributes:
         path: The file or folder.
@@ -60,34 +68,52 @@ class ImageSequence:
     image_description: str | None = None
     odometry_description: str | None = None
 
-    def __init__(self, path: Path, options: SequenceOptions | None = None) -> None:
+    def __init__(
+        self, path: Path | str, options: SequenceOptions | None = None, *, rate_hz: float = float(ASSUMED_HZ)
+    ) -> None:
         """Open a video or a folder.
 
         Args:
             path: Video file, or folder with PNG or JPEG images.
             options: What to read. Those of topics, odometry and true poses do not apply.
+            rate_hz: How many images there are in a second, in a folder of images whose names state no stamps.
 
         Raises:
-            SequenceError: no such video or images, a damaged `intrinsics.json`, or options that do not apply.
+            SequenceError: no such video or images, a damaged `intrinsics.json`, one of another aspect ratio, or options
+                that do not apply.
         """
-        self.path, self._options = path, options or SequenceOptions()
-        _require_applicable(path, self._options)
-        self._files = sorted(images_in(path), key=lambda file: natural(file.name)) if path.is_dir() else []
-        if path.is_dir():
+        self.path, self._options, self._rate_hz = Path(path), options or SequenceOptions(), rate_hz
+        _require_applicable(self.path, self._options)
+        if not _RATES_HZ[0] <= rate_hz <= _RATES_HZ[1]:
+            raise VaporTrackError(f"rate_hz is {rate_hz}, expected between {_RATES_HZ[0]:g} and {_RATES_HZ[1]:g}")
+        self._files = images_in(self.path)
+        self._dates = _stamps(self._files)
+        if self.path.is_dir():
             if not self._files:
                 raise SequenceError(f"{path}: no images, expected PNG or JPEG files in the folder")
-            self._lens = find_camera([path, path.parent], self._files)
+            size, folder = size_of_first(self._files), self.path
             self.num_images = len(self._files)
         else:
-            video = VideoFile(path, upright=True)
-            described = find_camera([path.parent], [])
-            self._lens = None if described is None else described.scaled(video.width, video.height)
+            video = VideoFile(self.path, upright=True)
+            size, folder = (video.width, video.height), self.path.parent
             self.num_images = video.num_frames or 0
-        if not self._options.undistort and isinstance(self._lens, Lens):
-            self._lens = self._lens.camera
+        self._lens = self._find_lens(folder, size)
         self.camera: Camera | None = None if self._lens is None else pinhole_of(self._lens)
         self.counts = ImageCounts(self.num_images)
         self.notices: list[str] = []
+
+    def _find_lens(self, folder: Path, size: tuple[int, int] | None) -> Camera | Lens | None:
+        lens = find_camera([folder, folder.parent], [])
+        if lens is None or size is None:
+            return lens
+        stated = lens.camera if isinstance(lens, Lens) else lens
+        if not same_aspect(stated, *size):
+            raise SequenceError(
+                f"{self.path}: intrinsics.json is of {stated.width} x {stated.height} pixels, the images are of"
+                f" {size[0]} x {size[1]}; expected the same aspect ratio (a video's frames are as a player shows them)"
+            )
+        lens = lens.scaled(*size)
+        return lens.camera if isinstance(lens, Lens) and not self._options.undistort else lens
 
     @property
     def skipped(self) -> Counter[str]:
@@ -103,66 +129,105 @@ class ImageSequence:
         """Frames in order of time.
 
         Raises:
-            SequenceError: the video is damaged before its first frame, more than half of the images of a folder cannot
-                be decoded, images do not fit the intrinsics, or no image is left.
+            SequenceError: no frame of the video can be read, more than half of the images of a folder cannot be
+                decoded, or no image is left.
         """
         options = self._options
         self.counts = counts = ImageCounts(0)
-        self.notices = [] if self.camera is not None else [_no_intrinsics(self.path)]
-        begin_ns: int | None = None
+        self.notices = []
+        segment: RequestedSegment | None = None
         latest_ns: int | None = None
-        for time_ns, image in self._dated():
+        num_unlike = 0
+        for time_ns, decode in self._dated():
             counts.read += 1
             counts.stated += 1
-            begin_ns = time_ns if begin_ns is None else begin_ns
-            since_s = (time_ns - begin_ns) * 1e-9
-            if since_s < options.start_s or (options.duration_s or np.inf) < since_s - options.start_s:
-                counts.skipped[OUTSIDE] += 1
-            elif isinstance(image, str):
-                counts.skipped[image] += 1
-            elif latest_ns is not None and time_ns <= latest_ns:
+            segment = segment or RequestedSegment(time_ns, options.start_s, options.duration_s)
+            if latest_ns is not None and time_ns <= latest_ns:
                 counts.skipped[_NOT_INCREASING] += 1
-            else:
-                latest_ns = time_ns
-                counts.used += 1
-                image, camera = self._undistorted(image)
-                yield Frame(time_ns, image, None, None, camera)
+                continue
+            latest_ns = time_ns
+            if segment.ends_before(time_ns):
+                counts.skipped[OUTSIDE] += 1
+                segment.is_stopped = True
+                break
+            if not segment.has(time_ns):
+                counts.skipped[OUTSIDE] += 1
+                continue
+            image = decode()
+            if isinstance(image, str):
+                counts.skipped[image] += 1
+                continue
+            counts.used += 1
+            image, camera = self._undistorted(image)
+            num_unlike += camera is None and self.camera is not None
+            yield Frame(time_ns, image, None, None, camera)
+        counts.skipped[OUTSIDE] += (unread := max(self.num_images - counts.stated, 0) if _stopped(segment) else 0)
+        counts.stated += unread
+        counts.skipped = +counts.skipped
         if not counts.used:
             found = ", ".join(f"{count} × {reason}" for reason, count in counts.skipped.items()) or "none was read"
             raise SequenceError(f"{self.path}: no image is left: {found}; expected at least one that can be used")
+        self._judge(num_unlike, whole=not _stopped(segment))
 
-    def _undistorted(self, image: UInt8[np.ndarray, "h w 3"]) -> tuple[UInt8[np.ndarray, "h w 3"], Camera | None]:
+    def _judge(self, num_unlike: int, *, whole: bool) -> None:
+        """Add the notices of the reading."""
+        if self.camera is None:
+            self.notices.append(
+                "no intrinsics, expected an intrinsics.json beside the images; the camera of the training images is"
+                " assumed"
+            )
+        if num_unlike:
+            self.notices.append(
+                f"{num_unlike} images are of another aspect ratio than the first: their intrinsics are unknown"
+            )
+        if whole and self.counts.read < _READABLE * self.num_images:
+            self.notices.append(
+                f"the video states {self.num_images} frames, and {self.counts.read} could be read: it is damaged or cut"
+                " off"
+            )
+
+    def _undistorted(self, image: _Image) -> tuple[_Image, Camera | None]:
         try:
             return undistorted(image, self._lens)
         except SequenceError as error:
             raise SequenceError(f"{self.path}: {error}") from error
 
     def _dated(self) -> Iterator[_Dated]:
-        """Each image with its stamp, or the reason why it cannot be used."""
-        if not self._files:
-            yield from VideoFile(self.path, upright=True).frames()
-            return
-        rows, stamps = Rows("images", why_skipped), self._stamps()
-        for time_ns, file in rows.each(zip(stamps, self._files, strict=True)):
-            yield time_ns, rows.use(decoded_file, file)
+        """Each image with its stamp: gives it, or the reason why it cannot be used."""
+        rows = Rows("images", why_skipped)
+        for time_ns, decode in self._listed() if self._files else VideoFile(self.path, upright=True).frames():
+            yield time_ns, partial(_decoded, rows, decode)
+        rows.require_few()
         self.notices += rows.notices
 
-    def _stamps(self) -> list[int]:
-        """Of the images of a folder, nanoseconds."""
-        if all(stamp_of(file.name) is not None for file in self._files):
-            return [stamp_ns(file.name, str(file)) for file in self._files]
-        rate_hz = self._options.rate_hz
-        self.notices.append(
-            f"the names of the images state no time stamps: {rate_hz:g} images a second are assumed (--rate-hz)"
-        )
-        return [round(1e9 * number / rate_hz) for number in range(len(self._files))]
+    def _listed(self) -> Iterator[tuple[int, Callable[[], _Image]]]:
+        """The images of a folder, likewise."""
+        dates = self._dates
+        if dates is None:
+            self.notices.append(
+                f"not all names of the images state time stamps: {self._rate_hz:g} images a second are assumed"
+                " (--rate-hz)"
+            )
+            ordered = sorted(self._files, key=lambda file: natural(file.name))
+            dates = [(round(1e9 * number / self._rate_hz), file) for number, file in enumerate(ordered)]
+        for time_ns, file in dates:
+            yield time_ns, partial(decoded_file, file)
 
 
-def _no_intrinsics(path: Path) -> str:
-    return (
-        f"{path}: no intrinsics, expected an intrinsics.json beside the images; the camera of the training images is"
-        " assumed"
-    )
+def _decoded(rows: Rows, decode: Callable[[], _Image]) -> _Image | str:
+    rows.num_rows += 1
+    return rows.use(decode)
+
+
+def _stopped(segment: RequestedSegment | None) -> bool:
+    return segment is not None and segment.is_stopped
+
+
+def _stamps(files: list[Path]) -> list[tuple[int, Path]] | None:
+    """Nanoseconds that the names of all images state, in order; None where one states none."""
+    if not all(stamp_of(file.name) is not None for file in files):
+        return None
+    return sorted((stamp_ns(file.name, str(file)), file) for file in files)
 
 
 def _require_applicable(path: Path, options: SequenceOptions) -> None:

@@ -14,11 +14,10 @@ from filtering.errors import VaporTrackError, require_within
 from filtering.motion import MotionNoise
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
-from sequences.frame import ASSUMED_HZ
 from sequences.trajectories.pose_lines import require_columns
 from sequences.trajectories.pose_tables import times_beside
 
-OdometryUse = Literal["required", "auto", "optional", "unread"]
+OdometryUse = Literal["required", "auto", "optional", "ignored", "unread"]
 TruePoseUse = Literal["required", "optional"]
 
 _MAX_DURATION_S = 1e9  # of a recording; NaN and infinity are none
@@ -93,8 +92,6 @@ class SequenceOptions(ReadingOptions):
     """Frame whose poses the true poses are. Default: the one that the messages name, else the camera itself."""
     ground_truth_origin: tuple[float, float, float] | None = None
     """Point to subtract from the positions of true poses, x y z in metres: for coordinates far from zero, as of UTM."""
-    rate_hz: float = float(ASSUMED_HZ)
-    """How many images there are in a second, in a folder of images whose names state no stamps."""
     allow_few_images: bool = False
     """Localize also where fewer than one image in ten can be used."""
     start_s: float = 0.0
@@ -104,7 +101,7 @@ class SequenceOptions(ReadingOptions):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_within(self, start_s=(0.0, _MAX_DURATION_S), rate_hz=(1e-3, 1e6))
+        require_within(self, start_s=(0.0, _MAX_DURATION_S))
         if self.duration_s is not None:
             require_within(self, duration_s=(0.0, _MAX_DURATION_S))
         self._check_true_poses()

@@ -52,7 +52,8 @@ class SequenceReader:
             options: What to read; None for all of it, as found.
             odometry: "required" reads it, and skips the images that it does not cover. "auto" does so where there is
                 any, and does without where there is none. "optional" gives images it where it can be found, without a
-                choice to make, and skips none for lack of it. "unread" ignores it.
+                choice to make, and skips none for lack of it. "ignored" gives images none, but takes it for no true
+                poses. "unread" does not look for it.
             true_poses: "required" fails where none are found, with the candidates, and where none is of the time of an
                 image. "optional" does without.
 
@@ -82,6 +83,8 @@ class SequenceReader:
         self._pairing: FramePairing | None = None  # of the latest iteration
         self._found_notices = self._bag.account_for(self._roles.image.name)
         self._found_notices += self._roles.truth.notices if self._roles.truth is not None else []
+        if odometry == "auto" and self._roles.no_odometry:
+            self._found_notices.append(self._roles.no_odometry.removeprefix(f"{self.path}: "))
         self.notices = list(self._found_notices)
 
     @property

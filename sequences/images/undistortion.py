@@ -90,6 +90,11 @@ def pinhole_of(camera: Camera | Lens) -> Camera:
     return _zoomed(pinhole, float(long))
 
 
+def same_aspect(camera: Camera, width: int, height: int) -> bool:
+    """Whether images of a size may be a camera's, scaled."""
+    return abs(width * camera.height - height * camera.width) <= _SAME_ASPECT * height * camera.width
+
+
 def undistorted(
     image: UInt8[np.ndarray, "height width 3"], camera: Camera | Lens | None
 ) -> tuple[UInt8[np.ndarray, "height width 3"], Camera | None]:
@@ -102,7 +107,7 @@ def undistorted(
         return image, None
     height, width = image.shape[:2]
     stated = camera.camera if isinstance(camera, Lens) else camera
-    if abs(width * stated.height - height * stated.width) > _SAME_ASPECT * height * stated.width:
+    if not same_aspect(stated, width, height):
         return image, None
     camera = camera.scaled(width, height)
     if not isinstance(camera, Lens):

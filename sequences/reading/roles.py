@@ -43,6 +43,7 @@ class Roles:
         self._bag, self.path, self.options = bag, bag.path, options
         self.open_images()  # what it needs may not be installed
         self.odometry_required = odometry in ("required", "auto")
+        self.no_odometry = ""  # why there is none, where there need not be any
         self.truth_required = true_poses == "required"
         self.odometry: Topic | None = None
         self.odometry_frame = ""  # that its poses are in, where it is read
@@ -56,10 +57,12 @@ class Roles:
             except SequenceError as error:
                 if self.odometry_required and not (odometry == "auto" and isinstance(error, NoOdometryError)):
                     raise
-                self.odometry_required = False
+                self.no_odometry, self.odometry_required = str(error), False
                 self.odometry = self.tree_odometry = self.extrinsics = None
         needed = self.truth_required and options.ground_truth_topic != ""  # an empty name asks for none
         self.truth = find_true_poses(bag, options, mount, required=needed, odometry=self._odometry_track)
+        if odometry == "ignored":
+            self.odometry = self.tree_odometry = self.extrinsics = None
         info_name = options.camera_info_topic
         if info_name is None:
             # By the habit of ROS and of Foxglove, the intrinsics lie beside the image topic.

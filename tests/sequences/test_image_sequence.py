@@ -14,6 +14,7 @@ from sequences.image_sequence import ImageSequence, is_image_sequence
 from sequences.options import SequenceOptions
 from tests.helpers.video_clips import held_upright, write_clip
 from tests.helpers.video_files import pictures
+from vapor.pipeline.config import RunConfig
 
 TIMES_MS = [0, 33, 66, 500, 533, 1000, 1010]  # frames that a phone took as it could
 CAMERA = {"width": 192, "height": 128, "fx": 150.0, "fy": 150.0, "cx": 95.5, "cy": 63.5}
@@ -65,11 +66,40 @@ def test_a_part_of_a_video_is_read(clip):
     assert stamps_ms(sequence) == [66, 500, 533]
     assert sequence.counts.skipped == {"outside the stretch asked for": 4}
     assert sequence.counts.are_complete
+    assert sequence.counts.read == 6  # nothing is read behind it
+    assert stamps_ms(ImageSequence(clip, SequenceOptions(start_s=0.066, duration_s=0.434))) == [66, 500]
+    assert stamps_ms(ImageSequence(clip, SequenceOptions(duration_s=0.0))) == [0]
+
+
+def test_images_outside_the_part_that_is_read_are_not_decoded(tmp_path):
+    folder = folder_of(tmp_path / "images", [str(i) for i in range(10)])
+    for i in (0, 1, 2, 6, 7, 8, 9):
+        (folder / f"{i}.png").write_bytes(b"no image")
+    sequence = ImageSequence(folder, SequenceOptions(start_s=3.0, duration_s=2.0), rate_hz=1.0)
+    assert stamps_ms(sequence) == [3000, 4000, 5000]
+    assert sequence.counts.skipped == {"outside the stretch asked for": 7}
+
+
+def test_most_images_of_a_folder_must_be_readable(tmp_path):
+    folder = folder_of(tmp_path / "images", [str(i) for i in range(5)])
+    for i in range(3):
+        (folder / f"{i}.png").write_bytes(b"no image")
+    with pytest.raises(SequenceError, match="3 of 5 images cannot be used"):
+        list(ImageSequence(folder))
+
+
+def test_a_video_that_is_cut_off_says_so(tmp_path):
+    clip = write_clip(tmp_path / "walk.mkv", pictures(40), range(0, 1600, 40))
+    clip.write_bytes(clip.read_bytes()[: clip.stat().st_size // 2])
+    sequence = ImageSequence(clip)
+    count = len(list(sequence))
+    assert 0 < count < 38
+    assert any(f"{count} could be read" in notice for notice in sequence.notices)
 
 
 def test_images_of_a_folder_come_in_natural_order_at_a_stated_rate(tmp_path):
     folder = folder_of(tmp_path / "images", [f"frame{i}" for i in range(12)])
-    sequence = ImageSequence(folder, SequenceOptions(rate_hz=10.0))
+    sequence = ImageSequence(folder, rate_hz=10.0)
     frames = list(sequence)
     assert [frame.time_ns for frame in frames] == [100_000_000 * i for i in range(12)]
     for frame, image in zip(frames, pictures(12), strict=True):
@@ -78,10 +108,17 @@ def test_images_of_a_folder_come_in_natural_order_at_a_stated_rate(tmp_path):
 
 
 def test_names_that_are_stamps_date_images(tmp_path):
-    names = ["1305031102.175304", "1305031102.211214", "1305031103.5"]
-    assert stamps_ms(ImageSequence(folder_of(tmp_path / "rgb", names))) == [
-        1305031102175.304, 1305031102211.214, 1305031103500.0,
+    names = ["1305031102.175304", "1305031102.211214", "1305031103.0", "1305031103.05", "1305031103.1"]
+    frames = ImageSequence(folder_of(tmp_path / "rgb", names))
+    assert [frame.time_ns for frame in frames] == [
+        1305031102175304000, 1305031102211214000, 1305031103000000000, 1305031103050000000, 1305031103100000000,
     ]  # fmt: skip
+
+
+def test_names_of_which_some_are_stamps_do_not_date_images(tmp_path):
+    sequence = ImageSequence(folder_of(tmp_path / "rgb", ["1305031102.175304", "last", "1305031103.0"]), rate_hz=1.0)
+    assert stamps_ms(sequence) == [0, 1000, 2000]
+    assert any("not all names of the images state time stamps" in notice for notice in sequence.notices)
 
 
 def test_images_that_cannot_be_decoded_are_counted(tmp_path):
@@ -104,6 +141,29 @@ def test_intrinsics_beside_the_images_are_scaled_to_them(clip, tmp_path):
     assert ImageSequence(folder).camera == camera
 
 
+def test_intrinsics_of_another_aspect_ratio_are_refused(clip):
+    (clip.parent / "intrinsics.json").write_text(json.dumps({**CAMERA, "width": 128, "height": 192}))
+    with pytest.raises(SequenceError, match="of 128 x 192 pixels, the images are of 96 x 64; expected the same aspect"):
+        ImageSequence(clip)
+
+
+def test_images_of_another_aspect_ratio_are_counted(tmp_path):
+    folder = folder_of(tmp_path / "images", ["1", "2", "3"])
+    (folder / "intrinsics.json").write_text(json.dumps(CAMERA))
+    cv2.imwrite(str(folder / "2.png"), pictures(1)[0, :, :50])
+    sequence = ImageSequence(folder)
+    assert [frame.camera is None for frame in sequence] == [False, True, False]
+    assert any("1 images are of another aspect ratio" in notice for notice in sequence.notices)
+
+
+def test_distortion_is_taken_out_unless_that_is_left_alone(clip):
+    (clip.parent / "intrinsics.json").write_text(json.dumps({**CAMERA, "distortion": [0.2, -0.1, 0.0, 0.0]}))
+    bent, straight = (
+        next(iter(ImageSequence(clip, SequenceOptions(undistort=undistort)))).image for undistort in (False, True)
+    )
+    assert np.abs(bent.astype(float) - straight).max() > 5.0
+
+
 def test_images_without_intrinsics_are_said_to_have_none(clip):
     sequence = ImageSequence(clip)
     list(sequence)
@@ -117,16 +177,18 @@ def test_options_that_do_not_apply_are_refused_by_name(clip):
 
 
 @pytest.mark.parametrize("rate_hz", [0.0, -1.0, float("nan"), float("inf")])
-def test_an_impossible_rate_is_refused(rate_hz):
+def test_an_impossible_rate_is_refused(rate_hz, tmp_path):
     with pytest.raises(VaporTrackError, match="rate_hz"):
-        SequenceOptions(rate_hz=rate_hz)
+        RunConfig(rate_hz=rate_hz)
+    with pytest.raises(VaporTrackError, match="rate_hz"):
+        ImageSequence(folder_of(tmp_path / "images", ["1"]), rate_hz=rate_hz)
 
 
 def test_what_is_no_video_is_refused(tmp_path):
     (tmp_path / "walk.mp4").write_bytes(b"no video at all")
     with pytest.raises(SequenceError, match=r"walk\.mp4: cannot be opened as a video"):
         ImageSequence(tmp_path / "walk.mp4")
-    with pytest.raises(SequenceError, match=r"none\.mp4"):
+    with pytest.raises(SequenceError, match=r"none\.mp4: no such file, expected a video"):
         ImageSequence(tmp_path / "none.mp4")
     with pytest.raises(SequenceError, match="no images, expected PNG or JPEG"):
         ImageSequence(tmp_path)
@@ -144,3 +206,7 @@ def test_recordings_are_no_image_sequences(clip, tmp_path):
     assert not is_image_sequence(tmp_path / "walk.mcap")
     (folder / "walk.mcap").write_bytes(b"")
     assert not is_image_sequence(folder)  # whose images are previews
+    (folder / "walk.mcap").rename(folder / "WALK.MCAP")
+    assert not is_image_sequence(folder)
+    (folder / "WALK.MCAP").rename(folder / "metadata.yaml")
+    assert not is_image_sequence(folder)

@@ -38,7 +38,7 @@ class Options:
 
     sequences: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="SEQUENCE ...")]
     """MCAP files, rosbag2 folders or ROS 1 bags with images and odometry; or images alone: video files, or folders of
-    images. Any other folder stands for all that are in it."""
+    images. Any other folder stands for all recordings and videos in it."""
     model: str
     """Model file, or name of a model that ships with the package: staircase, ceiling."""
     output: OutputPath
@@ -60,7 +60,7 @@ def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     options, command = parse("run", Options, arguments), command_line("run", arguments)
     if not options.sequences:
-        usage_error("run", "no sequence, expected at least one MCAP file or rosbag2 folder")
+        usage_error("run", "no sequence, expected at least one recording, video or folder of images")
     if is_batch(options.sequences):
         _run_batch(options, command)
     else:

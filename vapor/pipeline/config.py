@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, get_args
 
 from filtering.config import LocalizerConfig
-from filtering.errors import VaporTrackError, require_within
+from filtering.errors import VaporTrackError, quoted, require_within
+from sequences.frame import ASSUMED_HZ
 from vapor.engines.engine import Device, EngineConfig
+
+OdometrySource = Literal["auto", "recorded", "none"]
 
 
 @dataclass(frozen=True)
@@ -61,10 +64,15 @@ class ModelConfig(EngineConfig):
 class RunConfig(ModelConfig, FilteringConfig):
     """Settings of a run with a regressor, beside the sequence and the model."""
 
-    odometry: Literal["auto", "recorded", "none"] = "auto"
-    """Odometry: as recorded, an error where there is none; none, for images alone, where each hypothesis moves by an
-    unknown velocity; or, by default, the former where there is any."""
+    odometry: OdometrySource = "auto"
+    """auto: use odometry where it is recorded. recorded: require it. none: ignore it. Without odometry each hypothesis
+    moves with an unknown velocity."""
+    rate_hz: float = float(ASSUMED_HZ)
+    """How many images there are in a second, in a folder of images whose names state no stamps."""
 
     def __post_init__(self) -> None:
         ModelConfig.__post_init__(self)
+        require_within(self, rate_hz=(1e-3, 1e6))
+        if self.odometry not in (known := get_args(OdometrySource)):
+            raise VaporTrackError(f"odometry is {quoted(self.odometry)}, expected one of {', '.join(known)}")
         FilteringConfig.__post_init__(self)

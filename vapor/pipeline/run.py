@@ -20,7 +20,7 @@ from sequences.reader import SequenceReader
 from vapor.landmarks.localize import VerifiedPose
 from vapor.landmarks.verify import ShownLandmarks
 from vapor.observation import VaporObservationModel
-from vapor.pipeline.config import RunConfig
+from vapor.pipeline.config import OdometrySource, RunConfig
 from vapor.pipeline.localize import localize
 from vapor.pipeline.model import LoadedModel, load_model
 from vapor.pipeline.results import RESULTS, RunResult, write_results
@@ -31,7 +31,7 @@ from vapor.threads import limited_threads
 from vapor.training_data.ground import describe_unshown
 
 _NO_ODOMETRY = "no odometry: each hypothesis moves by an unknown velocity from image to image"
-_USES: dict[str, OdometryUse] = {"auto": "auto", "recorded": "required", "none": "unread"}
+_USES: dict[OdometrySource, OdometryUse] = {"auto": "auto", "recorded": "required", "none": "ignored"}
 _MOST_KEPT = 7  # images in which landmarks verified a place
 _VerifiedImage = tuple[int, UInt8[np.ndarray, "h w 3"], Camera | None, list[VerifiedPose]]
 
@@ -140,10 +140,12 @@ def run_into(
 
 def _open(sequence: Path, reading: SequenceOptions, config: RunConfig) -> SequenceReader | ImageSequence:
     if not is_image_sequence(sequence):
+        if config.odometry == "none" and (reading.odometry_topic or reading.odometry_frame):
+            raise VaporTrackError("--odometry none beside --odometry-topic or --odometry-frame, expected one of them")
         return SequenceReader(sequence, reading, odometry=_USES[config.odometry])
     if config.odometry == "recorded":
-        raise VaporTrackError(f"{sequence}: --odometry recorded with images alone, expected a recording that has any")
-    return ImageSequence(sequence, reading)
+        raise VaporTrackError(f"{sequence}: --odometry recorded with images alone, expected a recording with odometry")
+    return ImageSequence(sequence, reading, rate_hz=config.rate_hz)
 
 
 class VerifiedImages:

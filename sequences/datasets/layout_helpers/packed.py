@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -110,28 +110,36 @@ class VideoFile:
     def _open(self) -> None:
         level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
         try:
-            self._capture = cv2.VideoCapture(str(self.path), cv2.CAP_FFMPEG)
+            # FFmpeg takes what precedes a colon in a relative path for a protocol.
+            self._capture = cv2.VideoCapture(os.path.abspath(self.path), cv2.CAP_FFMPEG)
         finally:
             cv2.utils.logging.setLogLevel(level)
         # Stated intrinsics are of the pixels as they are stored, however the phone was held.
         self._capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, int(self._upright))
         self._next = 0
         if not self._capture.isOpened():
+            if not self.path.is_file():
+                raise SequenceError(f"{self.path}: no such file, expected a video")
             raise SequenceError(f"{self.path}: cannot be opened as a video, expected a complete file (H.264 or HEVC)")
 
-    def frames(self) -> Iterator[tuple[int, UInt8[np.ndarray, "height width 3"]]]:
-        """All frames in order, with their time stamps: nanoseconds since the beginning, RGB.
+    def frames(self) -> Iterator[tuple[int, Callable[[], UInt8[np.ndarray, "height width 3"]]]]:
+        """All frames in order: the time stamp, nanoseconds since the beginning, and what gives the frame, RGB.
 
         A damaged video ends with the last frame before the damage. Raises SequenceError where there is no frame.
         """
         self._open()
-        found, image = self._capture.read()
-        if not found:
-            raise SequenceError(f"{self.path}: no frame can be read, expected a video of H.264 or HEVC")
-        while found and image is not None:
+        while self._capture.grab():
             self._next += 1
-            yield round(1e6 * self._capture.get(cv2.CAP_PROP_POS_MSEC)), cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
-            found, image = self._capture.read()
+            yield round(1e6 * self._capture.get(cv2.CAP_PROP_POS_MSEC)), self._retrieved
+        if not self._next:
+            raise SequenceError(f"{self.path}: no frame can be read, expected a video of H.264 or HEVC")
+
+    def _retrieved(self) -> UInt8[np.ndarray, "height width 3"]:
+        """The frame that was read last. Raises SequenceError where it is damaged."""
+        found, image = self._capture.retrieve()
+        if not found or image is None:
+            raise SequenceError(f"{self.path}: frame {self._next - 1} cannot be decoded, expected a complete file")
+        return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
 
     def frame(self, number: int) -> PackedImage:
         """The image of a frame."""

@@ -32,7 +32,7 @@ WRONG = {
     "unknown option": ([*RUN, "--nonsense", "1"], "nonsense"),
     "misspelt option": ([*RUN, "--localizer.max-hypthoses", "9"], "hypthoses"),
     "missing model": (["run", "a.mcap", "--output", "o"], "--model"),
-    "missing sequence": (["run", "--model", "m", "--output", "o"], "MCAP file or rosbag2"),
+    "missing sequence": (["run", "--model", "m", "--output", "o"], "recording, video or folder of images"),
     "a URL to read": (
         ["run", "s3://walks/a.mcap", *RUN[2:]],
         "run: s3://walks/a.mcap: expected a path; copy or mount",

@@ -38,8 +38,11 @@ def test_recorded_odometry_that_is_missing_is_refused(walk_of_25, tiny_model, ea
     said = ["no odometry topic", "expected one of type nav_msgs/Odometry", "--odometry-frame"]
     refuse_run(path, tiny_model, earlier, capsys, path.name, *said, options=asked)
     clip = write_clip(earlier.parent / "walk.mp4", pictures(2), [0, 50])
-    said = ["--odometry recorded with images alone, expected a recording that has any"]
+    said = ["--odometry recorded with images alone, expected a recording with odometry"]
     refuse_run(clip, tiny_model, earlier, capsys, clip.name, *said, options=asked)
+    both = ["--odometry", "none", "--odometry-topic", "/odom"]
+    said = ["--odometry none beside --odometry-topic or --odometry-frame, expected one of them"]
+    refuse_run(walk_of_25, tiny_model, earlier, capsys, *said, options=both)
 
 
 @pytest.mark.parametrize("name", ["nav2_turtlebot.mcap", "talker.mcap", "only_topics.mcap"])

@@ -5,14 +5,16 @@ from pathlib import Path
 import cv2
 import pytest
 
+from filtering.errors import VaporTrackError
 from sequences.reader import SequenceReader
 from sequences.trajectories.tum import read_tum
 from tests.helpers.command_line import report_of
-from tests.helpers.sequence_files import ODOMETRY, rewrite
+from tests.helpers.sequence_files import ODOMETRY, TRUTH, rewrite
 from tests.helpers.tiny_model import SMALL
 from tests.helpers.video_clips import write_clip
 from tests.helpers.video_files import pictures
 from vapor.pipeline.batch import find_sequences
+from vapor.pipeline.config import RunConfig
 from vapor.track import main
 
 SAID = "no odometry: each hypothesis moves by an unknown velocity"
@@ -70,6 +72,26 @@ def test_odometry_is_used_where_there_is_any(walk_of_25, tiny_model, tmp_path, c
     assert run(walk_of_25, tiny_model, tmp_path / "recorded", "--odometry", "recorded") == 0
     auto, recorded = ((tmp_path / name / "trajectory.tum").read_text() for name in ("auto", "recorded"))
     assert auto == recorded
+
+
+def test_odometry_that_is_ignored_is_not_taken_for_true_poses(walk_of_25, tiny_model, tmp_path):
+    def renamed(topic: str, _: int, data: bytes) -> bytes:
+        return data.replace(b"odom\0", b"wrld\0") if topic == ODOMETRY else data
+
+    path = rewrite(walk_of_25, tmp_path / "world.mcap", keep=lambda topic, _: topic != TRUTH, data=renamed)
+    assert run(path, tiny_model, tmp_path / "out", "--odometry", "none") == 0
+    assert report_of(tmp_path / "out")["frames_with_true_pose"] == 0
+
+
+def test_why_there_is_no_odometry_is_said(without, tiny_model, tmp_path, capsys):
+    assert run(without, tiny_model, tmp_path / "out") == 0
+    assert "no odometry topic, expected one of type nav_msgs/Odometry" in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_an_unknown_source_of_odometry_is_refused():
+    with pytest.raises(VaporTrackError, match="odometry is 'visual', expected one of auto, recorded, none"):
+        RunConfig(odometry="visual")  # pyright: ignore[reportArgumentType]
 
 
 def test_videos_in_a_folder_are_sequences_and_images_beside_them_are_not(clip, tmp_path):
