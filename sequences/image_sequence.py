@@ -21,7 +21,7 @@ from sequences.frame import ASSUMED_HZ, Camera, Frame
 from sequences.images.headers import why_skipped
 from sequences.images.undistortion import Lens, pinhole_of, same_aspect, undistorted
 from sequences.options import SequenceOptions
-from sequences.reading.counts import OUTSIDE, ImageCounts
+from sequences.reading.counts import NOT_INCREASING, OUTSIDE, ImageCounts
 from sequences.reading.frame_pairing import RequestedSegment
 from sequences.recordings.recording_file import SUFFIXES
 from sequences.trajectories.pose_lines import stamp_ns, stamp_of
@@ -31,7 +31,6 @@ VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".mkv", ".avi", ".webm")
 """Of video files."""
 
 _USED = frozenset({"undistort", "start_s", "duration_s", "allow_few_images"})  # options that apply
-_NOT_INCREASING = "time stamp not increasing"
 _READABLE = 0.95  # of the frames that a video states: some formats state a few too many
 _RATES_HZ = 1e-3, 1e6
 _Image = UInt8[np.ndarray, "height width 3"]
@@ -143,7 +142,7 @@ class ImageSequence:
             counts.stated += 1
             segment = segment or RequestedSegment(time_ns, options.start_s, options.duration_s)
             if latest_ns is not None and time_ns <= latest_ns:
-                counts.skipped[_NOT_INCREASING] += 1
+                counts.skipped[NOT_INCREASING] += 1
                 continue
             latest_ns = time_ns
             if segment.ends_before(time_ns):

@@ -9,12 +9,11 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 
 from sequences.frame import Camera
-from sequences.images.undistortion import undistorted
+from sequences.images.undistortion import same_aspect, undistorted
 from vapor.images import cover_size
 
 _SAME_PX = 0.5  # of the images that a network sees: too little for a network to notice
 _LEAST_FRACTION = 0.8  # of the view, below which there is a notice
-_SAME_ASPECT = 0.02
 
 
 class AsTakenBy:
@@ -45,7 +44,7 @@ class AsTakenBy:
         _, camera = undistorted(image, camera)
         if camera is None:
             height, width = image.shape[:2]
-            if abs(width * self.camera.height - height * self.camera.width) > _SAME_ASPECT * height * self.camera.width:
+            if not same_aspect(self.camera, width, height):
                 self._aspects[width, height] += 1
             return image
         if same_view(camera, self._like):

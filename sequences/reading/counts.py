@@ -18,6 +18,7 @@ NOT_COME = "odometry had not come yet"  # to a running system: of a recording, o
 OVERTAKEN = "a newer image was there"
 NO_ESTIMATE = "no estimate"  # of others: frames that their files leave out
 ODD = "time stamp unlike those before"
+NOT_INCREASING = "time stamp not increasing"
 _NOT_ASKED = (OUTSIDE, NO_ESTIMATE)
 _FEW, _VERY_FEW = 0.5, 0.1  # fractions of the images asked for
 

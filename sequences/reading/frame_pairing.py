@@ -16,7 +16,7 @@ from sequences.frame import Frame
 from sequences.images.headers import why_skipped
 from sequences.images.video import Picture
 from sequences.reading.camera_info import ImageCamera
-from sequences.reading.counts import NOT_COME, ODD, OUTSIDE, OVERTAKEN, SkipCounter, uncovered
+from sequences.reading.counts import NOT_COME, NOT_INCREASING, ODD, OUTSIDE, OVERTAKEN, SkipCounter, uncovered
 from sequences.reading.motion import MotionOfCamera, odometry_apart
 from sequences.reading.roles import Roles
 from sequences.reading.timeline import Dated, Timeline
@@ -232,7 +232,7 @@ class FramePairing:
         at = bisect_left(self._frames, (time_ns, False))
         is_known = self._frames[at : at + 1] and self._frames[at][0] == time_ns
         if is_known or time_ns < self._earliest_ns:
-            return self.skipped.image("time stamp not increasing", time_ns)
+            return self.skipped.image(NOT_INCREASING, time_ns)
         covered = self.motion.covers(time_ns)
         if self._roles.odometry_required and not covered:
             return self.skipped.image(uncovered(time_ns, self.motion.odometry_span_ns), time_ns)
