@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from filtering.adaptation import ErrorScale
+from filtering.config import GapConfig
 from filtering.measurement_noise import MeasurementNoise
 from filtering.motion import Odometry
 from filtering.novelty import NoveltyTracker
@@ -14,6 +16,36 @@ from filtering.observation import View
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from filtering.unchecked import unchecked_replace
+
+
+class GapMotion(NamedTuple):
+    """What is known of a motion without odometry.
+
+    Attributes:
+        likely: Pose after it in the frame before it, by the velocity that the belief has found.
+        unknown_m: Distance that the camera may have come beside it, metres.
+        unknown_rad: Likewise an angle, radians.
+    """
+
+    likely: Poses
+    unknown_m: float = 0.0
+    unknown_rad: float = 0.0
+
+    @staticmethod
+    def of(likely: Poses, unseen_s: float, duration_s: float, gap: GapConfig) -> GapMotion:
+        """That of a camera whose last image was `unseen_s` seconds before the motion began.
+
+        A velocity lasts for a time (`GapConfig.time_s`). For longer without an image the camera may be anywhere.
+        """
+        before_s, after_s = (max(each - gap.time_s, 0.0) for each in (unseen_s, unseen_s + duration_s))
+        unknown_s = after_s - before_s
+        return GapMotion(likely, gap.speed_m_per_s * unknown_s, gap.turn_rad_per_s * unknown_s)
+
+    def of_another_frame(self, this_from_other: Poses) -> GapMotion:
+        """The motion of another frame that is fixed to this one (one pose)."""
+        if this_from_other.is_identity:
+            return self
+        return self._replace(likely=this_from_other.inverse() @ self.likely @ this_from_other)
 
 
 @dataclass(frozen=True)
@@ -53,11 +85,15 @@ class Source:
         """The same without the image that the next one is compared with."""
         return replace(self, scale=replace(self.scale, place=None))
 
-    def across_gap(self, distance_m: float, angle_rad: float) -> tuple[Source, float]:
-        """After a motion of which only the likely distance and angle are known; its normalized distance."""
-        tracker, moved = self.tracker.across_gap(distance_m, angle_rad)
-        place_tracker, _ = self.place_tracker.across_gap(distance_m, angle_rad)
-        return replace(self.unlinked, tracker=tracker, place_tracker=place_tracker), moved
+    def across_gap(self, motion: GapMotion) -> tuple[Source, float]:
+        """After a motion of the camera without odometry; its normalized distance."""
+        trackers, distances = [], []
+        for tracker in (self.tracker, self.place_tracker):
+            tracker, likely = tracker.predict(motion.likely)
+            tracker, unknown = tracker.after_unknown(motion.unknown_m, motion.unknown_rad)
+            trackers.append(tracker)
+            distances.append(likely + unknown)
+        return replace(self.unlinked, tracker=trackers[0], place_tracker=trackers[1]), distances[0]
 
     def predict(self, camera_motion: Odometry) -> tuple[Source, float]:
         """After a motion of the camera; its normalized distance."""
@@ -111,9 +147,10 @@ class CameraMemory:
         network = self.sources[0].applied
         return network if len(self.sources) == 1 else unchecked_replace(network, verified=self.sources[1].applied)
 
-    def across_gap(self, distance_m: float, angle_rad: float) -> tuple[CameraMemory, list[float]]:
-        """After a motion of which only the likely distance and angle are known; its normalized distance by source."""
-        after = [source.across_gap(distance_m, angle_rad) for source in self.sources]
+    def across_gap(self, motion: GapMotion) -> tuple[CameraMemory, list[float]]:
+        """After a motion of the reference frame without odometry; its normalized distance by source."""
+        camera_motion = motion.of_another_frame(self.reference_from_camera)
+        after = [source.across_gap(camera_motion) for source in self.sources]
         return replace(self, sources=tuple(source for source, _ in after)), [moved for _, moved in after]
 
     def has_extrinsics(self, reference_from_camera: Poses) -> bool:

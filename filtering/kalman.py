@@ -16,7 +16,7 @@ from jaxtyping import Float64
 from scipy.special import fdtri
 
 from filtering.association import Correlation, corrected_poses, pair
-from filtering.cameras import CameraMemory, Source
+from filtering.cameras import CameraMemory, GapMotion, Source
 from filtering.config import GapConfig, LocalizerConfig
 from filtering.errors import VaporTrackError, require_within
 from filtering.estimate import Mode
@@ -26,7 +26,7 @@ from filtering.moments import settle
 from filtering.motion import Odometry, OdometryBias, require_odometry
 from filtering.observation import Observation
 from filtering.posterior import PosePosterior
-from filtering.prediction import limit_rotation, motion_of_state
+from filtering.prediction import likely_motion, limit_rotation, motion_of_state
 from filtering.se3 import Poses
 
 
@@ -166,11 +166,12 @@ class KalmanLocalizer:
         if odom is None:
             gap = self.config.gap
             bias, odom = gap.velocity, Odometry.still(elapsed_s)
-            likely = gap.speed_m_per_s * elapsed_s, gap.turn_rad_per_s * elapsed_s
-            after = [source.across_gap(*likely) for source in self._sources]
             if self._drift is None:
                 self._drift = hypothesis.mean[0, 1:7], hypothesis.covariance[0, DRIFT, DRIFT]
-                self._take(with_drift(hypothesis, np.zeros(6), np.eye(6)))
+                hypothesis = with_drift(hypothesis, np.zeros(6), np.eye(6))
+                self._take(hypothesis)
+            motion = GapMotion.of(likely_motion(hypothesis, gap.velocity, elapsed_s), 0.0, elapsed_s, gap)
+            after = [source.across_gap(motion) for source in self._sources]
         else:
             after = [source.predict(odom) for source in self._sources]
             if self._drift is not None:

@@ -54,7 +54,7 @@ class NoveltyTracker:
             return replace(self, pose=pose, anchor=pose, reached=0.0, normalized_distance=in_all), moved
         return replace(self, pose=pose, reached=max(self.reached, distance), normalized_distance=in_all), moved
 
-    def across_gap(self, distance_m: float, angle_rad: float) -> tuple[NoveltyTracker, float]:
+    def after_unknown(self, distance_m: float, angle_rad: float) -> tuple[NoveltyTracker, float]:
         """The same after a motion of which only the likely distance and angle are known."""
         moved = float(np.hypot(distance_m / self.length_m, angle_rad / self.length_rad))
         in_all = self.normalized_distance + moved

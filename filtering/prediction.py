@@ -242,6 +242,20 @@ def across_gap(
     return moved
 
 
+def likely_motion(hypotheses: Hypotheses, velocity: OdometryBias, duration_s: float) -> Poses:
+    """The motion without odometry by the velocity of the heaviest hypothesis (one pose).
+
+    Args:
+        hypotheses: Before.
+        velocity: `GapConfig.velocity`, in whose units their drift is.
+        duration_s: Seconds of it.
+    """
+    heaviest = hypotheses[np.array([int(np.argmax(hypotheses.log_weights))])]
+    num_sources = (hypotheses.covariance.shape[1] - 13) // 6
+    after = predict(heaviest, Odometry.still(duration_s), velocity, [0.0] * num_sources)
+    return heaviest.poses[0].inverse() @ after.poses[0]
+
+
 def limit_rotation(covariance: Float64[np.ndarray, "n d d"]) -> None:
     """Limit standard deviations of rotation, in place, to one at which all directions are open."""
     turned = np.arange(3, 6)

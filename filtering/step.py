@@ -14,7 +14,7 @@ import numpy as np
 from filtering.association import Correlation, correct, evidence, gate
 from filtering.belief import Belief
 from filtering.births import BIRTHS
-from filtering.cameras import CameraMemory
+from filtering.cameras import CameraMemory, GapMotion
 from filtering.config import LocalizerConfig
 from filtering.errors import VaporTrackError
 from filtering.estimate import Estimate, Mode, Status, describe_modes
@@ -33,7 +33,7 @@ from filtering.mixture_reduction import reduce_mixture
 from filtering.motion import Odometry, OdometryBias, require_odometry
 from filtering.observation import Observation, View
 from filtering.posterior import PosePosterior
-from filtering.prediction import across_gap, leaps, moved, unknown_velocity, usual_speed, with_regimes
+from filtering.prediction import across_gap, leaps, likely_motion, moved, unknown_velocity, usual_speed, with_regimes
 from filtering.prediction import predict as predict_hypotheses
 from filtering.unchecked import unchecked_replace
 
@@ -109,14 +109,15 @@ def predict(
 def _across_gap(belief: Belief, elapsed_s: float, config: LocalizerConfig) -> Belief:
     """Move the belief without odometry: the drift of each hypothesis is the velocity of the camera until it returns."""
     gap = config.gap
-    likely = gap.speed_m_per_s * elapsed_s, gap.turn_rad_per_s * elapsed_s
-    after = {name: camera.across_gap(*likely) for name, camera in belief.cameras.items()}
-    hypotheses, distances, drift = hypotheses_of(belief), _by_source(after), belief.drift
+    hypotheses, drift = hypotheses_of(belief), belief.drift
     if drift is None:  # the gap begins
         mean, covariance = odometry_bias_of(hypotheses)
         drift = mean[1:], covariance[1:, 1:]
         hypotheses = unchecked_replace(hypotheses, regime=np.full(len(hypotheses), RIGHT))
         hypotheses = with_drift(hypotheses, np.zeros(6), np.eye(6))
+    motion = GapMotion.of(likely_motion(hypotheses, gap.velocity, elapsed_s), belief.unseen_s, elapsed_s, gap)
+    after = {name: camera.across_gap(motion) for name, camera in belief.cameras.items()}
+    distances = _by_source(after)
     forgets = gap.action == "forget"
     after_gap = across_gap(hypotheses, gap.velocity, elapsed_s, distances)
     return unchecked_replace(

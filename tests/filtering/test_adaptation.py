@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import chi2
 
 from filtering.adaptation import ErrorScale
-from filtering.cameras import Source
+from filtering.cameras import GapMotion, Source
 from filtering.config import LocalizerConfig
 from filtering.kalman import KalmanConfig, KalmanLocalizer
 from filtering.localizer import ParticleLocalizer
@@ -250,7 +250,7 @@ def test_a_gap_forgets_the_place_compared_with_and_keeps_what_was_found():
     there = seen_at(THERE @ onward.previous_from_current @ Poses.exp(np.array([0.5, 0, 0, 0, 0, 0])))
     source = source.predict(onward)[0].observe(there)
     assert source.scale.factor > 1.0
-    after, _ = source.across_gap(0.1, 0.1)
+    after, _ = source.across_gap(GapMotion(Poses.identity(), 0.1, 0.1))
     again = seen_at(there.means @ onward.previous_from_current)
     compared, kept = (each.predict(onward)[0].observe(again).scale for each in (source, after))
     assert compared.count > source.scale.count

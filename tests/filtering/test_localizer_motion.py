@@ -25,6 +25,7 @@ from tests.helpers.simulation import (
     new_localizer,
     seen_at,
     walk,
+    weight_near,
 )
 
 # --- odometry -------------------------------------------------------------------------------------
@@ -160,6 +161,39 @@ def test_images_alone_follow_a_velocity_that_no_odometry_reports():
         distances.append(found / np.sqrt(estimate.modes[0].covariance[0, 0]))
     assert abs(np.mean(distances[60:])) < 1.0  # without lag
     assert np.square(distances[60:]).mean() < 2.0
+
+
+@pytest.mark.parametrize("hz", [3, 30])
+def test_images_alone_of_a_standing_camera_buy_no_certainty_about_the_place(hz):
+    localizer, noise = new_localizer(), replace(ERRORS, weight_power=0.5)
+    errors, weights = image_errors([0.0] * 10 * hz, ERRORS, rng=RNG(1)), []
+    for error in errors:
+        seen = seen_at(lifted(Poses.exp(error), (0.0, 5.0)), (0.6, 0.4), noise=noise)
+        estimate = localizer.update(seen, None, elapsed_s=1 / hz)
+        weights.append(weight_near(estimate, (0.0, 0.0, 0.0)))
+    assert weights[0] == pytest.approx(0.57, abs=0.05)
+    assert max(weights) < weights[0] + 0.1
+    assert estimate.status == "ambiguous"
+
+
+def test_images_alone_of_a_walking_camera_decide_by_what_they_show():
+    localizer, noise = new_localizer(), replace(ERRORS, weight_power=0.5)
+    errors = image_errors([0.1 / 0.5] * 100, ERRORS, rng=RNG(1))
+    for i, error in enumerate(errors):
+        there = Poses.exp(np.array([0.1 * i, 0, 0, 0, 0, 0])) @ Poses.exp(error)
+        heights = (0.0, 5.0) if i < 50 else (0.0,)  # from then on only one place looks like it
+        seen = seen_at(lifted(there, heights), (0.5, 0.5)[: len(heights)], noise=noise)
+        estimate = localizer.update(seen, None, elapsed_s=0.1)
+    assert estimate.status == "converged"
+
+
+def test_a_view_is_new_after_a_gap_longer_than_a_velocity_lasts_however_often_it_is_asked_about():
+    for steps in (1, 40):
+        localizer = new_localizer()
+        localizer.update(seen_at(Poses.identity(1)), None)
+        for _ in range(steps):
+            localizer.predict(None, elapsed_s=6.0 / steps)
+        assert localizer.update(seen_at(Poses.identity(1)), None).novelty == 1.0
 
 
 def test_the_drift_of_odometry_is_remembered_across_a_gap():

@@ -59,10 +59,10 @@ def test_pacing_up_and_down_shows_nothing_new_though_the_camera_comes_far():
 
 
 def test_without_odometry_a_view_is_as_new_as_the_camera_may_have_come():
-    tracker, distance = TRACKER.across_gap(0.1, 0.04)
+    tracker, distance = TRACKER.after_unknown(0.1, 0.04)
     assert distance == pytest.approx(np.hypot(0.2, 0.1))
     assert tracker.observe()[1] == pytest.approx(distance)
-    far, _ = TRACKER.across_gap(50.0, 4.0)
+    far, _ = TRACKER.after_unknown(50.0, 4.0)
     far, new = far.observe()
     assert new == 1.0
     assert len(far.views) == 1  # what lies before a gap is nowhere in particular
