@@ -165,6 +165,7 @@ class Estimate:
         normalized_distance: That the camera moved since the image before, in lengths over which the errors of its
             images are correlated.
         ood_score: Of the image, see `PosePosterior`; 0 where there was none.
+        odometry_scale_error: Found in the odometry: where it is positive, reported distances are too long.
     """
 
     modes: tuple[Mode, ...]
@@ -178,6 +179,7 @@ class Estimate:
     novelty: float
     normalized_distance: float
     ood_score: float
+    odometry_scale_error: float = 0.0
 
     @property
     def effective_sample_size(self) -> float:

@@ -34,6 +34,7 @@ class FilterStep:
         hypotheses: world_from_camera of the filter's heavy hypotheses, batch (p,).
         weights: Theirs, (p,).
         modes: The filter's, the heaviest two.
+        odometry_scale_error: That the filter found.
     """
 
     posterior: PosePosterior
@@ -43,6 +44,7 @@ class FilterStep:
     hypotheses: Poses
     weights: Float64[np.ndarray, " p"]
     modes: tuple[Mode, ...]
+    odometry_scale_error: float = 0.0
 
     @staticmethod
     def of(observation: Observation, estimate: Estimate) -> FilterStep:
@@ -60,6 +62,7 @@ class FilterStep:
             estimate.particles[heavy],
             weights[heavy],
             tuple(modes),
+            estimate.odometry_scale_error,
         )
 
 

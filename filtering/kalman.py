@@ -173,7 +173,8 @@ class KalmanLocalizer:
             motion = GapMotion.of(likely_motion(hypothesis, gap.velocity, elapsed_s), 0.0, elapsed_s, gap)
             after = [source.across_gap(motion) for source in self._sources]
         else:
-            after = [source.predict(odom) for source in self._sources]
+            likely = odom.rescaled(hypothesis.mean[0, 0])
+            after = [source.predict(likely) for source in self._sources]
             if self._drift is not None:
                 self._take(with_drift(hypothesis, *self._drift))
                 self._drift = None

@@ -12,6 +12,7 @@ from jaxtyping import Float64
 from filtering.errors import VaporTrackError, require_within
 from filtering.se3 import Poses
 
+_LEAST_SCALE = 0.1
 _RIGID = 1e-6  # of RRᵀ − I: float32 passes
 _LARGEST_VARIANCE, _LONGEST_M = 1e12, 1e9
 _NODES, _NODE_WEIGHTS = np.polynomial.legendre.leggauss(10)  # 1e-14 of the integral for turns up to π
@@ -83,6 +84,15 @@ class Odometry:
             later.carry @ self.covariance @ later.carry.T + later.covariance,
             self.duration_s + later.duration_s,
         )
+
+    def rescaled(self, scale_error: float) -> Odometry:
+        """The motion less an error of its scale (`OdometryBias`), where it is a motion: a tenth of its length at least."""
+        moved, factor = self.previous_from_current, max(1.0 - scale_error, _LEAST_SCALE)
+        if scale_error == 0.0 or moved.is_identity:
+            return self
+        tangent = self.tangent.copy()
+        tangent[:3] *= factor
+        return Odometry(Poses.exp(tangent), self.covariance, self.duration_s)
 
     def part(self, fraction: float) -> Odometry:
         """The first part of this motion, a fraction of its duration, as if twist and noise were constant along it."""
@@ -264,8 +274,7 @@ class OdometryBias:
     """Scale error and drift of odometry, beside the white noise of its covariance.
 
     An increment that is reported as (v, ω) in the camera frame errs by s·(v, 0) + b·duration, where the scale error s
-    is constant and the drift b = (b_v, b_ω) an Ornstein-Uhlenbeck process. A positive s is a distance reported too
-    long.
+    and the drift b = (b_v, b_ω) are Ornstein-Uhlenbeck processes. A positive s is a distance reported too long.
     """
 
     scale: float = 0.02
@@ -277,9 +286,11 @@ class OdometryBias:
     1/√s: with 1.0 drift and white noise are equal after one second."""
     time_s: float = 30.0
     """Time over which the drift changes, seconds."""
+    scale_time_s: float = 1e9
+    """Time over which the scale error changes, seconds."""
 
     def __post_init__(self) -> None:
-        require_within(self, scale=(0.0, 10.0), relative_drift=(0.0, 1e3), time_s=(1e-3, 1e9))
+        require_within(self, scale=(0.0, 10.0), relative_drift=(0.0, 1e3), time_s=(1e-3, 1e9), scale_time_s=(1e-3, 1e9))
         if self.drift is not None and not all(0.0 <= value <= 1e6 for value in self.drift):
             raise VaporTrackError(f"drift is {self.drift}, expected each axis between 0 and 10⁶")
 

@@ -53,13 +53,11 @@ def motion_of_state(
     size = 13 + 6 * len(distances)
     duration_s = min(odometry.duration_s, _LONGEST_S)
     times = duration_s / odometry_bias.time_s
-    keeps = np.exp(-times)
-    lasting = -np.expm1(-times) / max(times, 1e-300) if times > 0.0 else 1.0
+    keeps, lasting = np.exp(-times), _lasting(times)
     drift = drift_of(odometry, odometry_bias)
-    errs = np.zeros((6, 7))  # of the increment, by scale error and drift; a positive scale error means too long ones
-    errs[:3, 0] = -odometry.tangent[:3]
-    errs[:, 1:] = -np.diag(lasting * drift)
+    errs = _errors_of(odometry, odometry_bias)
     kept = np.ones(size - 6)
+    kept[0] = np.exp(-duration_s / odometry_bias.scale_time_s)
     kept[1:7] = keeps
     for source, distance in enumerate(distances):
         kept[7 + 6 * source : 13 + 6 * source] = np.exp(-distance)
@@ -71,9 +69,24 @@ def motion_of_state(
     noise = np.zeros((size, size))
     noise[POSE, POSE] = odometry.noise + np.diag(drift**2) * _integrated(times)
     noise[rest, rest] = 1.0 - kept**2
+    noise[6, 6] *= odometry_bias.scale**2
     # The drift changes during the motion: integrals of an Ornstein-Uhlenbeck process.
     noise[POSE, DRIFT] = noise[DRIFT, POSE] = -np.diag(drift) * lasting**2 * times
     return transition, noise
+
+
+def _lasting(times: float) -> float:
+    """How much of a drift is left on average during a motion, by its duration over the time in which drift changes."""
+    return float(-np.expm1(-times) / times) if times > 1e-300 else 1.0
+
+
+def _errors_of(odometry: Odometry, odometry_bias: OdometryBias) -> Float64[np.ndarray, "6 7"]:
+    """What scale error and drift take from an increment; a positive scale error means too long ones."""
+    duration_s = min(odometry.duration_s, _LONGEST_S)
+    errs = np.zeros((6, 7))
+    errs[:3, 0] = -odometry.tangent[:3]
+    errs[:, 1:] = -np.diag(_lasting(duration_s / odometry_bias.time_s) * drift_of(odometry, odometry_bias))
+    return errs
 
 
 def _integrated(times: float) -> float:
@@ -250,10 +263,8 @@ def likely_motion(hypotheses: Hypotheses, velocity: OdometryBias, duration_s: fl
         velocity: `GapConfig.velocity`, in whose units their drift is.
         duration_s: Seconds of it.
     """
-    heaviest = hypotheses[np.array([int(np.argmax(hypotheses.log_weights))])]
-    num_sources = (hypotheses.covariance.shape[1] - 13) // 6
-    after = predict(heaviest, Odometry.still(duration_s), velocity, [0.0] * num_sources)
-    return heaviest.poses[0].inverse() @ after.poses[0]
+    drift = hypotheses.mean[int(np.argmax(hypotheses.log_weights)), 1:7]
+    return Poses.exp(_errors_of(Odometry.still(duration_s), velocity)[:, 1:] @ drift)
 
 
 def limit_rotation(covariance: Float64[np.ndarray, "n d d"]) -> None:

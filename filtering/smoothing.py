@@ -161,7 +161,7 @@ class Sources(NamedTuple):
         if in_gap is None:
             motion = None
         elif motion is not None:
-            camera, moved = camera.predict(motion)
+            camera, moved = camera.predict(motion.rescaled(step.odometry_scale_error))
             to_here = transition(motion, config.odometry_bias, moved, noise, new_drift=in_gap)
         else:
             camera, moved = camera.across_gap(_gap_motion(self.mode, step, config.gap))

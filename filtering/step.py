@@ -88,7 +88,8 @@ def predict(
     if belief.drift is not None:  # a gap has ended
         hypotheses = with_drift(hypotheses, *belief.drift)
     bias, velocity = config.odometry_bias, unknown_velocity(noise, config.gap)
-    after = {name: camera.predict(odometry) for name, camera in belief.cameras.items()}
+    likely = odometry.rescaled(odometry_bias_of(hypotheses)[0][0])
+    after = {name: camera.predict(likely) for name, camera in belief.cameras.items()}
     distances = _by_source(after)
     if sees:  # without images a failure would not show
         since_s = belief.unseen_s + odometry.duration_s
@@ -362,6 +363,7 @@ def describe(
         novelty,
         belief.normalized_distance,
         max((view.posterior.ood_score for view in views), default=0.0),
+        float(odometry_bias_of(hypotheses)[0][0]),
     )
     return unchecked_replace(belief, known=unchecked_replace(known, best=modes[0].identity)), estimate
 

@@ -48,9 +48,7 @@ def kalman_filter(step, cameras=1):
     drift = SECONDS * np.array(SLOWLY.drift)
     kalman.F[:6, 7:13] = -lasting * np.diag(drift)
     kalman.F[range(7, 13), range(7, 13)] = kept
-    faded = np.exp(-np.linalg.norm(step[:3]) / ONE_PLACE.length_m)
-    kalman.F[range(13, size), range(13, size)] = faded
-    noise = np.concatenate([MOTION_STD**2, [0.0], np.full(6, 1 - kept**2), np.full(6 * cameras, 1 - faded**2)])
+    noise = np.concatenate([MOTION_STD**2, [0.0], np.full(6, 1 - kept**2), np.zeros(6 * cameras)])
     kalman.Q = np.diag(noise)
     kalman.Q[:6, :6] += np.diag(drift**2) * (2 * times - 3 + 4 * kept - kept**2) / times**2
     kalman.Q[:6, 7:13] = kalman.Q[7:13, :6] = -np.diag(drift) * lasting**2 * times
@@ -60,6 +58,14 @@ def kalman_filter(step, cameras=1):
     kalman.P[6, 6] = SLOWLY.scale**2
     kalman.R = (1 - ONE_PLACE.correlated_fraction) * np.diag(IMAGE_STD**2)
     return kalman
+
+
+def fade(kalman, cameras):
+    """Correlated errors fade along the distance, which the scale error found so far corrects."""
+    faded = np.exp(-(1 - kalman.x[6, 0]) * np.linalg.norm(STEP[:3]) / ONE_PLACE.length_m)
+    errors = range(13, 13 + 6 * cameras)
+    kalman.F[errors, errors] = faded
+    kalman.Q[errors, errors] = 1 - faded**2
 
 
 def seen_by(camera, size):
@@ -88,6 +94,7 @@ def test_with_one_place_and_gaussian_errors_the_state_is_that_of_the_kalman_filt
         ]
         estimate = localizer.update(views, odometry)
         if t:
+            fade(kalman, cameras)
             kalman.predict()
             kalman.x = kalman.x + control
         for camera in range(cameras):

@@ -125,6 +125,29 @@ def test_nothing_depends_on_the_unit_of_length(factor):
     assert statuses == {"ambiguous", "converged"}  # precondition: something happened
 
 
+@pytest.mark.parametrize("factor", [0.4, 2.5])
+def test_odometry_in_an_unknown_unit_is_measured_by_the_images(factor):
+    localizer = new_localizer(odometry_bias=OdometryBias(scale=1.0))
+    errors, distances = image_errors([0.1 / ERRORS.length_m] * 200, ERRORS, rng=RNG(1)), []
+    for i, error in enumerate(errors):
+        true = Poses.exp(np.array([0.1 * i, 0, 0, 0, 0, 0]))
+        estimate = localizer.update(seen_at(true @ Poses.exp(error)), motion(factor * 0.1, 0, 0, 0, 0, 0))
+        distances.append(estimate.normalized_distance)
+    assert (1.0 - estimate.odometry_scale_error) * factor == pytest.approx(1.0, abs=0.1)
+    assert estimate.modes[0].contains(true, 0.999)
+    assert np.mean(distances[50:]) == pytest.approx(0.1 / ERRORS.length_m, rel=0.1)
+
+
+def test_a_scale_error_that_changes_is_forgotten_in_its_time():
+    localizer = new_localizer(odometry_bias=OdometryBias(scale=0.5, scale_time_s=100.0))
+    localizer.update(seen_at(Poses.identity()), None)
+    for i in range(100):
+        there = Poses.exp(np.array([0.2 * (i + 1), 0, 0, 0, 0, 0]))
+        found = localizer.update(seen_at(there), motion(0.1, 0, 0, 0, 0, 0, duration_s=0.01)).odometry_scale_error
+    assert found == pytest.approx(-1.0, abs=0.1)
+    assert localizer.predict(motion(*[0.0] * 6, duration_s=100.0)).odometry_scale_error == pytest.approx(found / np.e)
+
+
 # --- gaps -----------------------------------------------------------------------------------------
 
 
