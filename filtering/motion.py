@@ -86,7 +86,7 @@ class Odometry:
         )
 
     def rescaled(self, scale_error: float) -> Odometry:
-        """The motion less an error of its scale (`OdometryBias`), where it is a motion: a tenth of its length at least."""
+        """The motion less an error of its scale (`OdometryBias`); a tenth of its length at least."""
         moved, factor = self.previous_from_current, max(1.0 - scale_error, _LEAST_SCALE)
         if scale_error == 0.0 or moved.is_identity:
             return self

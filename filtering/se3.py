@@ -167,7 +167,7 @@ class Poses:
         adjoint = np.zeros((*self.batch_shape, 6, 6))
         adjoint[..., :3, :3] = self.rotation
         adjoint[..., 3:, 3:] = self.rotation
-        adjoint[..., :3, 3:] = _skew(self.translation) @ self.rotation
+        adjoint[..., :3, 3:] = skew(self.translation) @ self.rotation
         return adjoint
 
     def orthonormal(self) -> Poses:
@@ -244,7 +244,7 @@ def rotvec_from_rotation(rotation: Float64[np.ndarray, "*batch 3 3"]) -> Float64
 def _rodrigues(omega: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """(1 − bθ²) I + a [ω]× + b ω ωᵀ, with a = sin θ/θ and 1 − bθ² = cos θ."""
     rotation = (b * omega)[..., :, None] * omega[..., None, :]
-    rotation += _skew(a * omega)
+    rotation += skew(a * omega)
     rotation += (1.0 - b * _dot(omega, omega))[..., None] * np.eye(3)
     return rotation
 
@@ -262,7 +262,7 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return product
 
 
-def _skew(v: np.ndarray) -> np.ndarray:
+def skew(v: np.ndarray) -> np.ndarray:
     """[v]× of vectors (..., 3)."""
     return (v @ _SKEW).reshape(*v.shape, 3)
 

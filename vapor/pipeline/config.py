@@ -10,7 +10,7 @@ from filtering.errors import VaporTrackError, quoted, require_within
 from sequences.frame import ASSUMED_HZ
 from vapor.engines.engine import Device, EngineConfig
 
-OdometrySource = Literal["auto", "recorded", "none"]
+OdometrySource = Literal["auto", "recorded", "visual", "both", "none"]
 
 
 @dataclass(frozen=True)
@@ -65,8 +65,8 @@ class RunConfig(ModelConfig, FilteringConfig):
     """Settings of a run with a regressor, beside the sequence and the model."""
 
     odometry: OdometrySource = "auto"
-    """auto: use odometry where it is recorded. recorded: require it. none: ignore it. Without odometry each hypothesis
-    moves with an unknown velocity."""
+    """auto: use odometry where it is recorded, and elsewhere make it from the images. recorded: require it. visual:
+    make it from the images. both: these correct each other. none: each hypothesis moves with an unknown velocity."""
     rate_hz: float = float(ASSUMED_HZ)
     """How many images there are in a second, in a folder of images whose names state no stamps."""
 

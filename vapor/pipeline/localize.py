@@ -23,9 +23,8 @@ from filtering.observation import Observation
 from filtering.posterior import ObservationModel
 from filtering.storeys import Storeys
 from sequences.estimates.sequence import EstimateSequence
-from sequences.image_sequence import ImageSequence
 from sequences.odometry_fit.result import OdometryFit
-from sequences.reader import SequenceReader
+from sequences.visual_odometry.sequence import FrameSource
 from vapor.pipeline.config import FilteringConfig
 from vapor.reporting.record import RunRecord
 from vapor.reporting.rerun_place import Place
@@ -67,7 +66,7 @@ def ahead(items: Iterable[Item]) -> Iterator[Iterator[Item]]:
 
 
 def localize(
-    source: SequenceReader | ImageSequence | EstimateSequence,
+    source: FrameSource | EstimateSequence,
     model: ObservationModel,
     directory: Path,
     config: FilteringConfig,
@@ -148,7 +147,7 @@ def localize(
 
 
 @contextmanager
-def _about(frame: Any, source: SequenceReader | ImageSequence | EstimateSequence) -> Iterator[None]:
+def _about(frame: Any, source: FrameSource | EstimateSequence) -> Iterator[None]:
     try:
         yield
     except VaporTrackError as error:

@@ -17,6 +17,8 @@ from sequences.image_sequence import ImageSequence, is_image_sequence
 from sequences.options import OdometryUse, SequenceOptions
 from sequences.outputs import results_folder
 from sequences.reader import SequenceReader
+from sequences.visual_odometry.odometry import VISUAL_BIAS
+from sequences.visual_odometry.sequence import FrameSource, VisualSequence
 from vapor.landmarks.localize import VerifiedPose
 from vapor.landmarks.verify import ShownLandmarks
 from vapor.observation import VaporObservationModel
@@ -31,7 +33,13 @@ from vapor.threads import limited_threads
 from vapor.training_data.ground import describe_unshown
 
 _NO_ODOMETRY = "no odometry: each hypothesis moves by an unknown velocity from image to image"
-_USES: dict[OdometrySource, OdometryUse] = {"auto": "auto", "recorded": "required", "none": "ignored"}
+_USES: dict[OdometrySource, OdometryUse] = {
+    "auto": "auto",
+    "recorded": "required",
+    "visual": "ignored",
+    "both": "required",
+    "none": "ignored",
+}
 _MOST_KEPT = 7  # images in which landmarks verified a place
 _VerifiedImage = tuple[int, UInt8[np.ndarray, "h w 3"], Camera | None, list[VerifiedPose]]
 
@@ -91,6 +99,11 @@ def run_into(
     reading = reading or SequenceOptions()
     reader = _open(sequence, reading, config)
     observation = model.observation.seen_by(reader.camera)
+    recorded = reader.has_odometry and config.odometry != "both"
+    if (config.odometry in ("visual", "both") or (config.odometry == "auto" and not recorded)) and (
+        camera := reader.camera or observation.description.camera
+    ):
+        reader = VisualSequence(reader, camera, beside=config.odometry == "both")
 
     some: EvenlySpaced[SeenImage] = EvenlySpaced(MOST_IMAGES)
     verified = VerifiedImages(observation)
@@ -102,7 +115,9 @@ def run_into(
 
     with limited_threads(config.threads):
         calibration = observation.description.calibration
-        fit = calibration.odometry if config.fitted_odometry else None
+        fit = calibration.odometry if config.fitted_odometry and recorded else None
+        if isinstance(reader, VisualSequence) and config.odometry != "both":
+            config = replace(config, localizer=replace(config.localizer, odometry_bias=VISUAL_BIAS))
         record = localize(
             reader,
             verified,
@@ -138,13 +153,17 @@ def run_into(
         return replace(result, engine=f"{engine['engine']} on {engine['device']}, {config.precision}")
 
 
-def _open(sequence: Path, reading: SequenceOptions, config: RunConfig) -> SequenceReader | ImageSequence:
+def _open(sequence: Path, reading: SequenceOptions, config: RunConfig) -> FrameSource:
     if not is_image_sequence(sequence):
-        if config.odometry == "none" and (reading.odometry_topic or reading.odometry_frame):
-            raise VaporTrackError("--odometry none beside --odometry-topic or --odometry-frame, expected one of them")
+        if _USES[config.odometry] == "ignored" and (reading.odometry_topic or reading.odometry_frame):
+            raise VaporTrackError(
+                f"--odometry {config.odometry} beside --odometry-topic or --odometry-frame, expected one of them"
+            )
         return SequenceReader(sequence, reading, odometry=_USES[config.odometry])
-    if config.odometry == "recorded":
-        raise VaporTrackError(f"{sequence}: --odometry recorded with images alone, expected a recording with odometry")
+    if config.odometry in ("recorded", "both"):
+        raise VaporTrackError(
+            f"{sequence}: --odometry {config.odometry} with images alone, expected a recording with odometry"
+        )
     return ImageSequence(sequence, reading, rate_hz=config.rate_hz)
 
 

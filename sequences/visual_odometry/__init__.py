@@ -1,0 +1,1 @@
+"""Odometry from images alone: monocular, by tracked features."""

@@ -1,0 +1,280 @@
+"""Visual odometry: the motion of a camera from image to image, by its images alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from jaxtyping import Float64, UInt8
+
+from filtering.errors import VaporTrackError
+from filtering.motion import Odometry, OdometryBias
+from filtering.se3 import Poses
+from sequences.frame import Camera
+from sequences.visual_odometry.adjustment import adjust
+from sequences.visual_odometry.alignment import Alignment, MotionPrior, align
+from sequences.visual_odometry.features import Grey, detect, pixel_covariance, track
+from sequences.visual_odometry.tracks import KeyFrame, Tracks, project
+from sequences.visual_odometry.two_view import initialize
+
+VISUAL_BIAS = OdometryBias(scale=1.0, relative_drift=1.0, time_s=5.0, scale_time_s=200.0)
+"""Of visual odometry: its unit is unknown, and changes slowly."""
+
+_USUAL_DEPTH_M = 2.0  # of a room; the unit is that in which features have this depth
+_WIDTH = 340  # pixels: larger images are scaled down
+_MOST_FEATURES, _LEAST_FEATURES = 200, 8
+_KEY_FRAMES = 6
+_PARALLAX = 0.05  # of the width: a key frame is needed after so much
+_TURN = 4.0  # times that: or after a turn that moves the features so far
+_LEAST_SHARED, _LEAST_SEEN = 20, 0.5  # features of the latest key frame, else one is needed
+_UNKNOWN = 0.7  # standard deviation of an unknown inverse depth, over its mean
+_KNOWN = 0.3  # below, a depth is known
+_NEIGHBOURS, _LEAST_KNOWN = 5, 10
+_LEAK = 0.2  # of the usual depth in that of a new feature: a unit that runs away comes back
+_SPEED_UP, _TURN_UP = 3.0, 20.0  # depths / s² and rad / s², standard deviations of the accelerations
+_FARTHEST_PX = 80.0  # of a prediction from where the feature was
+_MOST_LOST = 0.8  # of the features in one image: another scene
+_INFLATION = 3.0  # of the covariance: errors of the map are common to images, measured on recordings
+_LONGEST_S = 1.0  # between images
+
+
+class VisualOdometry:
+    """Monocular visual odometry, a step for each image.
+
+    Features are tracked from image to image; their depths and the poses of a few key frames are those that fit best
+    (bundle adjustment over a window). The length of a motion is in a unit in which the scene is some two metres away: a
+    filter finds how long it is (`VISUAL_BIAS`). Its covariance is wider where features are few, move among themselves,
+    or do not determine the motion.
+
+    Source: keyframe-based monocular odometry as of Klein and Murray, "Parallel tracking and mapping for small AR
+    workspaces", ISMAR 2007; inverse depths as of Civera et al., T-RO 2008.
+    """
+
+    bias = VISUAL_BIAS
+
+    def __init__(self, camera: Camera) -> None:
+        """Before the first image.
+
+        Args:
+            camera: Intrinsics of the undistorted images.
+        """
+        self._set_camera(camera)
+        self._time_ns: int | None = None
+        self._image: Grey | None = None
+        self._begin_map()
+
+    def _set_camera(self, camera: Camera) -> None:
+        self.camera = camera
+        scale = min(1.0, _WIDTH / camera.width)
+        small = camera.scaled(round(scale * camera.width), round(scale * camera.height))
+        self._size = small.width, small.height
+        self._focal, self._centre = np.array([small.fx, small.fy]), np.array([small.cx, small.cy])
+
+    def _begin_map(self) -> None:
+        self._tracks = Tracks.none()
+        self._key_frames: tuple[KeyFrame, ...] = ()
+        self._pose = Poses.identity()  # camera_from_map
+        self._motion = Poses.identity()  # camera_from_previous
+        self._usual = 1.0 / _USUAL_DEPTH_M
+        self._next_id = self._next_frame = 0
+        self._since_s = self._usual_s = 0.0  # since the latest image that differs, and of the latest motion
+        self._has_depths = False
+
+    def step(
+        self, image: UInt8[np.ndarray, "height width 3"], time_ns: int, camera: Camera | None = None
+    ) -> Odometry | None:
+        """The motion since the image before.
+
+        Args:
+            image: RGB or grey, uint8, undistorted.
+            time_ns: When it was taken, nanoseconds.
+            camera: Its intrinsics, where they are not those of the image before.
+
+        Returns:
+            The motion, and its covariance apart from the unit of its length. None for the first image, and where the
+            images do not say how the camera moved: too few features, another scene, or more than a second without an
+            image that differs from the one before.
+
+        Raises:
+            VaporTrackError: the image is not one, has another size than its camera, or its time is not later than that
+                of the one before.
+        """
+        grey = self._grey(image, camera)
+        before, before_ns = self._image, self._time_ns
+        if before_ns is not None and time_ns <= before_ns:
+            raise VaporTrackError(f"time_ns is {time_ns} after {before_ns}, expected later images")
+        self._image, self._time_ns = grey, time_ns
+        if before is None or before_ns is None:
+            self._start(grey)
+            return None
+        duration_s = 1e-9 * (time_ns - before_ns)
+        self._since_s += duration_s
+        if np.array_equal(before, grey):
+            return self._repeated(duration_s)
+        motion = self._follow(before, grey, duration_s) if self._since_s <= _LONGEST_S else None
+        self._since_s = 0.0
+        if motion is None:
+            self._start(grey)
+        return motion
+
+    def _repeated(self, duration_s: float) -> Odometry | None:
+        """The motion to the same image again: none yet, and the next image will show it."""
+        if self._since_s > _LONGEST_S:
+            return None
+        moved = self._motion.log() * min(duration_s / max(self._usual_s, 1e-9), 1.0)
+        return Odometry(Poses.identity(), np.outer(moved, moved) + 1e-8 * np.eye(6), duration_s)
+
+    def _grey(self, image: np.ndarray, camera: Camera | None) -> Grey:
+        if image.dtype != np.uint8 or image.ndim not in (2, 3):
+            raise VaporTrackError(f"image is {image.dtype} {image.shape}, expected uint8 (height, width, 3)")
+        if camera is not None and camera != self.camera:
+            self._set_camera(camera)
+            self._image = None
+        if image.shape[:2] != (self.camera.height, self.camera.width):
+            raise VaporTrackError(
+                f"image is {image.shape[1]} x {image.shape[0]} pixels, its camera {self.camera.width} x"
+                f" {self.camera.height}"
+            )
+        grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+        if self._size != grey.shape[::-1]:
+            grey = cv2.resize(grey, self._size, interpolation=cv2.INTER_AREA)
+        return np.asarray(grey, np.uint8)
+
+    # --- one image ----------------------------------------------------------------------------------
+
+    def _start(self, grey: Grey) -> None:
+        """Begin a new map at an image."""
+        self._begin_map()
+        self._add_key_frame(grey)
+
+    def _follow(self, before: Grey, grey: Grey, duration_s: float) -> Odometry | None:
+        """The motion to an image; None where its features are lost."""
+        tracked = track(before, grey, self._tracks.pixels, self._predicted())
+        count, found = len(self._tracks), int(tracked.found.sum())
+        if found < max(_LEAST_FEATURES, (1.0 - _MOST_LOST) * count):
+            return None
+        self._tracks = replace(self._tracks, pixels=tracked.points)[tracked.found]
+        previous = self._pose
+        alignment = self._aligned(self._since_s)
+        self._pose = alignment.pose
+        self._motion, self._usual_s = self._pose @ previous.inverse(), self._since_s
+        covariance = _INFLATION * alignment.covariance
+        odometry = Odometry(previous @ self._pose.inverse(), 0.5 * (covariance + covariance.T), duration_s)
+        if self._has_depths:
+            self._tracks = self._tracks[alignment.fits]
+        self._map(grey)
+        return odometry
+
+    def _aligned(self, since_s: float) -> Alignment:
+        predicted = self._motion @ self._pose
+        std = np.repeat([_SPEED_UP * _USUAL_DEPTH_M, _TURN_UP], 3) * since_s**2
+        prior = MotionPrior(predicted, std)
+        return align(self._tracks, self._key_frames, [predicted, self._pose], prior, self._focal, self._centre)
+
+    def _predicted(self) -> np.ndarray:
+        """Where the features are in the next image if the camera goes on as it does."""
+        points = project(self._tracks, self._motion @ self._pose, self._key_frames).points
+        at = points[:, :2] / np.maximum(points[:, 2:], 1e-3) * self._focal + self._centre
+        far = (points[:, 2] < 1e-2) | (np.linalg.norm(at - self._tracks.pixels, axis=1) > _FARTHEST_PX)
+        return np.where(far[:, None], self._tracks.pixels, at).astype(np.float32)
+
+    # --- the map ------------------------------------------------------------------------------------
+
+    def _map(self, grey: Grey) -> None:
+        """Add a key frame where one is needed."""
+        if not self._has_depths:
+            self._find_depths(grey)
+        elif self._needs_key_frame():
+            self._add_key_frame(grey)
+            self._adjust()
+
+    def _find_depths(self, grey: Grey) -> None:
+        first = self._key_frames[0]
+        found = initialize(self._tracks, first, self._focal, self._centre, self._usual, _PARALLAX * self._size[0])
+        if found is not None:
+            self._tracks, self._pose = found.tracks, found.pose
+            self._motion, self._has_depths = Poses.identity(), True
+            self._add_key_frame(grey)
+            self._adjust()
+        elif np.isin(first.ids, self._tracks.ids).mean() < _LEAST_SEEN:
+            self._start(grey)
+
+    def _needs_key_frame(self) -> bool:
+        latest = self._key_frames[-1]
+        _, of_latest, of_tracks = np.intersect1d(latest.ids, self._tracks.ids, return_indices=True)
+        if len(of_latest) < max(_LEAST_SHARED, _LEAST_SEEN * len(latest.ids)):
+            return True
+        before = (latest.pixels[of_latest] - self._centre) / self._focal
+        after = (self._tracks.pixels[of_tracks] - self._centre) / self._focal
+        rotation = (self._pose @ latest.pose.inverse()).rotation
+        turned = np.column_stack([before, np.ones(len(before))]) @ rotation.T
+        turned = turned[:, :2] / turned[:, 2:]
+        parallax, turn = (
+            float(np.median(np.linalg.norm((turned - other) * self._focal, axis=1))) for other in (after, before)
+        )
+        return parallax > _PARALLAX * self._size[0] or turn > _TURN * _PARALLAX * self._size[0]
+
+    def _add_key_frame(self, grey: Grey) -> None:
+        covariance = pixel_covariance(grey, self._tracks.pixels)
+        self._tracks = replace(self._tracks, covariance=covariance).joined(self._new_tracks(grey))
+        frame = KeyFrame(self._next_frame, self._pose, self._tracks.ids, self._tracks.pixels)
+        self._next_frame += 1
+        self._key_frames = (*self._key_frames, frame)
+        if len(self._key_frames) > _KEY_FRAMES:
+            self._tracks = _without_first(self._tracks, self._key_frames, self._focal, self._centre)
+            self._key_frames = self._key_frames[1:]
+
+    def _new_tracks(self, grey: Grey) -> Tracks:
+        pixels = detect(grey, self._tracks.pixels, _MOST_FEATURES)
+        depths, count = self._guessed(pixels), len(pixels)
+        ids = self._next_id + np.arange(count)
+        self._next_id += count
+        return Tracks(
+            ids,
+            pixels,
+            pixel_covariance(grey, pixels),
+            np.full(count, self._next_frame),
+            (pixels - self._centre) / self._focal,
+            depths,
+            np.square(_UNKNOWN * depths),
+        )
+
+    def _guessed(self, pixels: np.ndarray) -> Float64[np.ndarray, " n"]:
+        """Inverse depths of new features: as their neighbours', and a little as usual."""
+        known = self._tracks[self._tracks.variance < np.square(_KNOWN * self._tracks.inverse_depth)]
+        if len(known) <= _LEAST_KNOWN:
+            return np.full(len(pixels), self._usual)
+        self._usual = float(np.median(known.inverse_depth))
+        distances = np.linalg.norm(pixels[:, None] - known.pixels[None], axis=2)
+        nearest = np.argpartition(distances, _NEIGHBOURS, axis=1)[:, :_NEIGHBOURS]
+        return np.median(known.inverse_depth[nearest], axis=1) ** (1.0 - _LEAK) * (1.0 / _USUAL_DEPTH_M) ** _LEAK
+
+    def _adjust(self) -> None:
+        self._tracks, self._key_frames = adjust(self._tracks, self._key_frames, self._focal, self._centre)
+        self._pose = self._key_frames[-1].pose
+
+
+def _without_first(
+    tracks: Tracks,
+    key_frames: Sequence[KeyFrame],
+    focal: Float64[np.ndarray, " 2"],
+    centre: Float64[np.ndarray, " 2"],
+) -> Tracks:
+    """The features anchored in key frames but the first one; its own become the second one's where that saw them."""
+    first, second = key_frames[:2]
+    own = tracks.anchor == first.number
+    _, of_second, of_tracks = np.intersect1d(second.ids, tracks.ids, return_indices=True)
+    again = of_tracks[own[of_tracks]]
+    pixels = second.pixels[of_second[own[of_tracks]]]
+    depth = project(tracks, second.pose, key_frames).points[again, 2]
+    anchor, ray = tracks.anchor.copy(), tracks.ray.copy()
+    inverse_depth, variance = tracks.inverse_depth.copy(), tracks.variance.copy()
+    in_front = np.maximum(depth, 1e-3)
+    anchor[again], ray[again] = second.number, (pixels - centre) / focal
+    inverse_depth[again] /= in_front
+    variance[again] /= in_front**2
+    kept = ~own
+    kept[again] = depth > 1e-3
+    return replace(tracks, anchor=anchor, ray=ray, inverse_depth=inverse_depth, variance=variance)[kept]
