@@ -36,7 +36,11 @@ _LEAK = 0.2  # of the usual depth in that of a new feature: a unit that runs awa
 _SPEED_UP, _TURN_UP = 3.0, 20.0  # depths / s² and rad / s², standard deviations of the accelerations
 _FARTHEST_PX = 80.0  # of a prediction from where the feature was
 _MOST_LOST = 0.8  # of the features in one image: another scene
-_INFLATION = 3.0  # of the covariance: errors of the map are common to images, measured on recordings
+_INFLATION, _BY_SURPRISE = 1.0, 0.5  # of the covariance, measured on recordings
+_PER_SQRT_M = 0.04  # standard deviation that grows with the square root of the distance
+_FIRST_SURPRISE, _MOST_SURPRISE = 3.0, 20.0
+_FOLLOWS = 0.3  # of the surprise at the latest key frame
+_NEW_MAP = 2  # key frames, which hold the unit
 _LONGEST_S = 1.0  # between images
 
 
@@ -81,6 +85,9 @@ class VisualOdometry:
         self._next_id = self._next_frame = 0
         self._since_s = self._usual_s = 0.0  # since the latest image that differs, and of the latest motion
         self._has_depths = False
+        # The covariance of the motion since the latest key frame; the squared distance, by it and for each degree of
+        # freedom, of the corrections that key frames brought.
+        self._since_key_frame, self._surprise = np.zeros((6, 6)), _FIRST_SURPRISE
 
     def step(
         self, image: UInt8[np.ndarray, "height width 3"], time_ns: int, camera: Camera | None = None
@@ -160,8 +167,11 @@ class VisualOdometry:
         alignment = self._aligned(self._since_s)
         self._pose = alignment.pose
         self._motion, self._usual_s = self._pose @ previous.inverse(), self._since_s
-        covariance = _INFLATION * alignment.covariance
-        odometry = Odometry(previous @ self._pose.inverse(), 0.5 * (covariance + covariance.T), duration_s)
+        self._since_key_frame = self._since_key_frame + alignment.covariance
+        covariance = (_INFLATION + _BY_SURPRISE * self._surprise) * alignment.covariance
+        motion = previous @ self._pose.inverse()
+        walk = np.repeat([_PER_SQRT_M**2 * np.linalg.norm(motion.translation), 0.0], 3)
+        odometry = Odometry(motion, 0.5 * (covariance + covariance.T) + np.diag(walk), duration_s)
         if self._has_depths:
             self._tracks = self._tracks[alignment.fits]
         self._map(grey)
@@ -252,8 +262,14 @@ class VisualOdometry:
         return np.median(known.inverse_depth[nearest], axis=1) ** (1.0 - _LEAK) * (1.0 / _USUAL_DEPTH_M) ** _LEAK
 
     def _adjust(self) -> None:
+        before = self._pose
         self._tracks, self._key_frames = adjust(self._tracks, self._key_frames, self._focal, self._centre)
         self._pose = self._key_frames[-1].pose
+        corrected = (self._pose @ before.inverse()).log()
+        if len(self._key_frames) > _NEW_MAP:
+            squared = corrected @ np.linalg.solve(self._since_key_frame + 1e-8 * np.eye(6), corrected)
+            self._surprise += _FOLLOWS * (min(float(squared) / 6.0, _MOST_SURPRISE) - self._surprise)
+        self._since_key_frame = np.zeros((6, 6))
 
 
 def _without_first(
