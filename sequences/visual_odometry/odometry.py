@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
-from jaxtyping import Float64, UInt8
+from jaxtyping import Float64
 
 from filtering.errors import VaporTrackError
 from filtering.motion import Odometry, OdometryBias
@@ -89,13 +89,11 @@ class VisualOdometry:
         # freedom, of the corrections that key frames brought.
         self._since_key_frame, self._surprise = np.zeros((6, 6)), _FIRST_SURPRISE
 
-    def step(
-        self, image: UInt8[np.ndarray, "height width 3"], time_ns: int, camera: Camera | None = None
-    ) -> Odometry | None:
+    def step(self, image: np.ndarray, time_ns: int, camera: Camera | None = None) -> Odometry | None:
         """The motion since the image before.
 
         Args:
-            image: RGB or grey, uint8, undistorted.
+            image: RGB (h, w, 3) or grey (h, w), uint8, undistorted.
             time_ns: When it was taken, nanoseconds.
             camera: Its intrinsics, where they are not those of the image before.
 
@@ -128,9 +126,9 @@ class VisualOdometry:
 
     def _repeated(self, duration_s: float) -> Odometry | None:
         """The motion to the same image again: none yet, and the next image will show it."""
-        if self._since_s > _LONGEST_S:
+        if self._since_s > _LONGEST_S or self._usual_s == 0.0:
             return None
-        moved = self._motion.log() * min(duration_s / max(self._usual_s, 1e-9), 1.0)
+        moved = self._motion.log() * min(duration_s / self._usual_s, 1.0)
         return Odometry(Poses.identity(), np.outer(moved, moved) + 1e-8 * np.eye(6), duration_s)
 
     def _grey(self, image: np.ndarray, camera: Camera | None) -> Grey:
