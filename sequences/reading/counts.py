@@ -19,7 +19,8 @@ OVERTAKEN = "a newer image was there"
 NO_ESTIMATE = "no estimate"  # of others: frames that their files leave out
 ODD = "time stamp unlike those before"
 NOT_INCREASING = "time stamp not increasing"
-_NOT_ASKED = (OUTSIDE, NO_ESTIMATE)
+BETWEEN = "between the images localized"  # whose odometry is used
+_NOT_ASKED = (OUTSIDE, NO_ESTIMATE, BETWEEN)
 _FEW, _VERY_FEW = 0.5, 0.1  # fractions of the images asked for
 
 

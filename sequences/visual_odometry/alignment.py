@@ -11,10 +11,10 @@ from jaxtyping import Bool, Float64
 from filtering.se3 import Poses, skew
 from sequences.visual_odometry.tracks import LEAST_DEPTH, KeyFrame, Tracks, pixel_jacobian, project
 
-_ITERATIONS, _AT_LEAST, _CONVERGED = 12, 4, 1e-6
+_ITERATIONS, _AT_LEAST, _CONVERGED = 10, 3, 1e-4
 _FIRST_SCALE, _SCALE_FALLS, _SCALE = 5.0, 0.7, 2.0  # of the robust weights, standard deviations
 _MEDIAN = 1.39  # of a squared distance with two degrees of freedom
-_FITS = 3.0  # mean squared distance, cut at 9: no other start is tried
+_FITS, _CUT = 2.0, 9.0  # times the usual mean of squared distances, each cut there: no other start is tried
 _OUTLIER = 25.0  # squared distance, over that of the median feature
 _CELLS = (4, 3)  # of the image, whose features are left out in turn
 _LEFT_OUT = 0.9  # of their information
@@ -41,11 +41,13 @@ class Alignment:
         pose: camera_from_map, one pose.
         covariance: Of ξ where the true pose is exp(ξ) times it, (6, 6).
         fits: Whether each feature is where it should be, (n,).
+        cost: Mean of the squared distances of the features from where they should be, each 9 at most.
     """
 
     pose: Poses
     covariance: Float64[np.ndarray, "6 6"]
     fits: Bool[np.ndarray, " n"]
+    cost: float
 
 
 @dataclass(frozen=True)
@@ -57,7 +59,7 @@ class _Fit:
 
     @property
     def cost(self) -> float:
-        return float(np.minimum(self.squared, 9.0).mean())
+        return float(np.minimum(self.squared, _CUT).mean())
 
 
 def align(
@@ -67,6 +69,7 @@ def align(
     prior: MotionPrior,
     focal: Float64[np.ndarray, " 2"],
     centre: Float64[np.ndarray, " 2"],
+    usual_cost: float,
 ) -> Alignment:
     """Find the pose at which the features are where they were tracked to.
 
@@ -80,17 +83,18 @@ def align(
         prior: Of the pose.
         focal: Focal lengths, pixels.
         centre: Principal point, pixels.
+        usual_cost: Of the images before.
     """
     fits = []
     for start in starts:
         fits.append(_fit(tracks, key_frames, start, prior, focal, centre))
-        if fits[-1].cost < _FITS:
+        if fits[-1].cost < _FITS * usual_cost:
             break
     fit = min(fits, key=lambda each: each.cost)
     usual = max(float(np.median(fit.squared)) / _MEDIAN, 1.0)
     information = fit.information.sum(axis=0) + np.diag(1.0 / np.square(prior.std))
     covariance = usual * np.linalg.inv(information) + _left_out(fit, information, tracks, 2.0 * centre + 1.0)
-    return Alignment(fit.pose, covariance, fit.squared < _OUTLIER * usual)
+    return Alignment(fit.pose, covariance, fit.squared < _OUTLIER * usual, fit.cost)
 
 
 def _fit(

@@ -39,7 +39,8 @@ _MOST_LOST = 0.8  # of the features in one image: another scene
 _INFLATION, _BY_SURPRISE = 1.0, 0.5  # of the covariance, measured on recordings
 _PER_SQRT_M = 0.04  # standard deviation that grows with the square root of the distance
 _FIRST_SURPRISE, _MOST_SURPRISE = 3.0, 20.0
-_FOLLOWS = 0.3  # of the surprise at the latest key frame
+_FIRST_COST = 1.5
+_FOLLOWS = 0.3  # of cost and surprise at the latest image or key frame
 _NEW_MAP = 2  # key frames, which hold the unit
 _LONGEST_S = 1.0  # between images
 
@@ -84,7 +85,7 @@ class VisualOdometry:
         self._usual = 1.0 / _USUAL_DEPTH_M
         self._next_id = self._next_frame = 0
         self._since_s = self._usual_s = 0.0  # since the latest image that differs, and of the latest motion
-        self._has_depths = False
+        self._has_depths, self._cost = False, _FIRST_COST
         # The covariance of the motion since the latest key frame; the squared distance, by it and for each degree of
         # freedom, of the corrections that key frames brought.
         self._since_key_frame, self._surprise = np.zeros((6, 6)), _FIRST_SURPRISE
@@ -164,11 +165,12 @@ class VisualOdometry:
         previous = self._pose
         alignment = self._aligned(self._since_s)
         self._pose = alignment.pose
+        self._cost += _FOLLOWS * (alignment.cost - self._cost)
         self._motion, self._usual_s = self._pose @ previous.inverse(), self._since_s
         self._since_key_frame = self._since_key_frame + alignment.covariance
         covariance = (_INFLATION + _BY_SURPRISE * self._surprise) * alignment.covariance
         motion = previous @ self._pose.inverse()
-        walk = np.repeat([_PER_SQRT_M**2 * np.linalg.norm(motion.translation), 0.0], 3)
+        walk = np.repeat([_PER_SQRT_M**2 * float(np.linalg.norm(motion.translation)), 0.0], 3)
         odometry = Odometry(motion, 0.5 * (covariance + covariance.T) + np.diag(walk), duration_s)
         if self._has_depths:
             self._tracks = self._tracks[alignment.fits]
@@ -179,7 +181,9 @@ class VisualOdometry:
         predicted = self._motion @ self._pose
         std = np.repeat([_SPEED_UP * _USUAL_DEPTH_M, _TURN_UP], 3) * since_s**2
         prior = MotionPrior(predicted, std)
-        return align(self._tracks, self._key_frames, [predicted, self._pose], prior, self._focal, self._centre)
+        return align(
+            self._tracks, self._key_frames, [predicted, self._pose], prior, self._focal, self._centre, self._cost
+        )
 
     def _predicted(self) -> np.ndarray:
         """Where the features are in the next image if the camera goes on as it does."""

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 
+import numpy as np
+
+from filtering.motion import Odometry
 from sequences.frame import Camera, Frame
-from sequences.reading.counts import ImageCounts
+from sequences.reading.counts import BETWEEN, ImageCounts
 from sequences.visual_odometry.fusion import OdometryFusion
 from sequences.visual_odometry.odometry import VisualOdometry
+
+_TOLERANCE = 0.1  # of the time between frames: stamps tremble
 
 
 class FrameSource(Protocol):
@@ -54,11 +59,12 @@ class VisualSequence:
 
         has_odometry: True.
         odometry_description: Says that it is visual.
+        beside: Whether recorded odometry is used as well.
     """
 
     has_odometry = True
 
-    def __init__(self, frames: FrameSource, camera: Camera, *, beside: bool = False) -> None:
+    def __init__(self, frames: FrameSource, camera: Camera, *, beside: bool = False, most_hz: float = np.inf) -> None:
         """Around a sequence.
 
         Args:
@@ -66,23 +72,30 @@ class VisualSequence:
             camera: Of the images that state none; scaled to their size.
             beside: Whether recorded odometry is used as well: both correct each other (`OdometryFusion`). Otherwise it
                 is replaced.
+            most_hz: Frames a second that are given at most; the images between them only show how the camera moved.
         """
-        self._frames, self._camera, self._beside = frames, camera, beside
+        self._frames, self._camera, self.beside = frames, camera, beside
+        self._least_ns = 1e9 / most_hz * (1.0 - _TOLERANCE)
         self.path, self.camera, self.num_images = frames.path, frames.camera, frames.num_images
         self.image_description = frames.image_description
         recorded = frames.odometry_description or "recorded"
         self.odometry_description: str | None = f"{recorded}, and visual" if beside else "visual"
-        self._num_unknown = 0
+        self._num_unknown = self._num_between = 0
 
     @property
     def counts(self) -> ImageCounts:
         """Counts of the images of the latest iteration; complete after it."""
-        return self._frames.counts
+        counts = self._frames.counts
+        return replace(counts, used=counts.used - self._num_between, skipped=counts.skipped + self._between)
+
+    @property
+    def _between(self) -> Counter[str]:
+        return +Counter({BETWEEN: self._num_between})
 
     @property
     def skipped(self) -> Counter[str]:
         """How many images of the latest iteration were left out, by reason."""
-        return self._frames.skipped
+        return self._frames.skipped + self._between
 
     @property
     def resolved(self) -> dict[str, Any]:
@@ -101,9 +114,11 @@ class VisualSequence:
 
     def __iter__(self) -> Iterator[Frame]:
         """Frames in order of time, see the sequence."""
-        self._num_unknown = 0
+        self._num_unknown = self._num_between = 0
         visual: VisualOdometry | None = None
-        fusion = OdometryFusion() if self._beside else None
+        since: list[Odometry | None] = []
+        latest_ns: int | None = None
+        fusion = OdometryFusion() if self.beside else None
         for number, frame in enumerate(self._frames):
             height, width = frame.image.shape[:2]
             camera = frame.camera or self._camera.scaled(width, height)
@@ -112,4 +127,19 @@ class VisualSequence:
             self._num_unknown += number > 0 and odometry is None
             if fusion is not None:
                 odometry = fusion.step(frame.odometry, odometry)
-            yield replace(frame, odometry=odometry)
+            since.append(odometry)
+            if latest_ns is not None and frame.time_ns - latest_ns < self._least_ns:
+                self._num_between += 1
+                continue
+            yield replace(frame, odometry=_whole(since) if number else None)
+            since, latest_ns = [], frame.time_ns
+
+
+def _whole(motions: Sequence[Odometry | None]) -> Odometry | None:
+    """Consecutive motions as one; None where one is unknown."""
+    whole = Odometry.still()
+    for motion in motions:
+        if motion is None:
+            return None
+        whole = whole.then(motion)
+    return whole

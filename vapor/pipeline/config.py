@@ -67,12 +67,14 @@ class RunConfig(ModelConfig, FilteringConfig):
     odometry: OdometrySource = "auto"
     """auto: use odometry where it is recorded, and elsewhere make it from the images. recorded: require it. visual:
     make it from the images. both: these correct each other. none: each hypothesis moves with an unknown velocity."""
+    localize_hz: float = 10.0
+    """With visual odometry, localize at most so many images a second; those between them show how the camera moved."""
     rate_hz: float = float(ASSUMED_HZ)
     """How many images there are in a second, in a folder of images whose names state no stamps."""
 
     def __post_init__(self) -> None:
         ModelConfig.__post_init__(self)
-        require_within(self, rate_hz=(1e-3, 1e6))
+        require_within(self, localize_hz=(1e-3, 1e6), rate_hz=(1e-3, 1e6))
         if self.odometry not in (known := get_args(OdometrySource)):
             raise VaporTrackError(f"odometry is {quoted(self.odometry)}, expected one of {', '.join(known)}")
         FilteringConfig.__post_init__(self)

@@ -33,6 +33,7 @@ from vapor.threads import limited_threads
 from vapor.training_data.ground import describe_unshown
 
 _NO_ODOMETRY = "no odometry: each hypothesis moves by an unknown velocity from image to image"
+_VISUAL = "no odometry: it is made from the images"
 _USES: dict[OdometrySource, OdometryUse] = {
     "auto": "auto",
     "recorded": "required",
@@ -99,11 +100,7 @@ def run_into(
     reading = reading or SequenceOptions()
     reader = _open(sequence, reading, config)
     observation = model.observation.seen_by(reader.camera)
-    recorded = reader.has_odometry and config.odometry != "both"
-    if (config.odometry in ("visual", "both") or (config.odometry == "auto" and not recorded)) and (
-        camera := reader.camera or observation.description.camera
-    ):
-        reader = VisualSequence(reader, camera, beside=config.odometry == "both")
+    reader = _with_visual_odometry(reader, observation.description.camera, config)
 
     some: EvenlySpaced[SeenImage] = EvenlySpaced(MOST_IMAGES)
     verified = VerifiedImages(observation)
@@ -115,8 +112,8 @@ def run_into(
 
     with limited_threads(config.threads):
         calibration = observation.description.calibration
-        fit = calibration.odometry if config.fitted_odometry and recorded else None
-        if isinstance(reader, VisualSequence) and config.odometry != "both":
+        fit = calibration.odometry if config.fitted_odometry and not isinstance(reader, VisualSequence) else None
+        if isinstance(reader, VisualSequence) and not reader.beside:
             config = replace(config, localizer=replace(config.localizer, odometry_bias=VISUAL_BIAS))
         record = localize(
             reader,
@@ -144,7 +141,9 @@ def run_into(
             "run": asdict(config) | engine,
             "reading": asdict(reading) | reader.resolved,
         }
-        notices = [*([] if reader.has_odometry else [_NO_ODOMETRY]), *reader.notices, *observation.notices]
+        made = config.odometry == "auto" and isinstance(reader, VisualSequence)
+        missing = [_VISUAL] if made else [] if reader.has_odometry else [_NO_ODOMETRY]
+        notices = [*missing, *reader.notices, *observation.notices]
         if are_unrecognised(record.status) and observation.description.ood_model is not None:
             notices.append(why_unrecognised(some.items, observation.ood_score))
         if (trained := observation.description.memory_poses) is not None:
@@ -165,6 +164,30 @@ def _open(sequence: Path, reading: SequenceOptions, config: RunConfig) -> FrameS
             f"{sequence}: --odometry {config.odometry} with images alone, expected a recording with odometry"
         )
     return ImageSequence(sequence, reading, rate_hz=config.rate_hz)
+
+
+def _with_visual_odometry(reader: FrameSource, trained: Camera | None, config: RunConfig) -> FrameSource:
+    """The sequence with odometry from its images, where that is asked for or there is no other.
+
+    Args:
+        reader: The sequence.
+        trained: Camera of the training images, for images without intrinsics.
+        config: Settings.
+
+    Raises:
+        VaporTrackError: it is asked for, and no intrinsics are known.
+    """
+    if config.odometry in ("recorded", "none") or (config.odometry == "auto" and reader.has_odometry):
+        return reader
+    camera = reader.camera or trained
+    if camera is not None:
+        return VisualSequence(reader, camera, beside=config.odometry == "both", most_hz=config.localize_hz)
+    if config.odometry != "auto":
+        raise VaporTrackError(
+            f"{reader.path}: --odometry {config.odometry} without intrinsics, expected CameraInfo or an"
+            " intrinsics.json, or a model whose training images had them"
+        )
+    return reader
 
 
 class VerifiedImages:
