@@ -12,8 +12,12 @@ from filtering.se3 import Poses
 
 _UNIT_STD = 1.0  # of the unit of visual odometry over its expected one, before any motion
 _UNIT_CHANGES_S = 200.0  # time in which the unit changes
-_WINDOW_S = 0.5  # over which both are compared
-_DISAGREE = 22.5  # squared distance of six degrees of freedom that one in a thousand exceeds
+_WINDOW_S = 1.0  # over which both are compared
+_DISAGREE = np.array([22.5, 10.8])  # squared distances that one in a thousand exceeds: of the motion, along the way
+_AGREE = np.array([16.8, 4.0])  # and that one in a hundred, and one in twenty exceeds
+_MOVED = 25.0  # squared distance of a motion from none: it teaches the unit
+_SMALL = 1e-3  # change of the unit, for a derivative
+_LONGEST_S = 10.0  # of a disagreement: then the unit is another one
 
 
 class OdometryFusion:
@@ -28,6 +32,7 @@ class OdometryFusion:
         """Before the first motion."""
         self._unit, self._variance = 1.0, _UNIT_STD**2
         self._recent: deque[tuple[Odometry, Odometry]] = deque()
+        self._learned_s = self._disagree_s = 0.0  # since the unit was learned, and since both agreed
 
     @property
     def unit(self) -> float:
@@ -38,30 +43,44 @@ class OdometryFusion:
         """The motion by both; by one where the other is unknown; None where both are."""
         if visual is None or recorded is None:
             self._recent.clear()
+            self._learned_s = 0.0
+            if visual is None:  # it begins anew, in another unit
+                self._variance = _UNIT_STD**2
             return recorded if visual is None else self._metric(visual)
-        duration_s = recorded.duration_s
-        self._variance += _UNIT_STD**2 * 2.0 * duration_s / _UNIT_CHANGES_S
         self._recent.append((recorded, visual))
         while sum(one.duration_s for one, _ in self._recent) - self._recent[0][0].duration_s > _WINDOW_S:
             self._recent.popleft()
         by_recorded, by_visual = (_joined([pair[i] for pair in self._recent]) for i in (0, 1))
-        seen = self._metric(by_visual)
-        difference = by_recorded.previous_from_current.between(seen.previous_from_current).log()
-        spread = by_recorded.covariance + seen.covariance
-        if difference @ np.linalg.solve(spread, difference) > _DISAGREE:
-            apart = recorded.previous_from_current.between(self._metric(visual).previous_from_current).log()
-            covariance = self._metric(visual).covariance + np.outer(apart, apart)
-            return Odometry(self._metric(visual).previous_from_current, covariance, duration_s)
-        self._learn(recorded, visual)
+        apart = _apart(by_recorded, self._metric(by_visual))
+        if (apart > (_AGREE if self._disagree_s > 0.0 else _DISAGREE)).any():
+            return self._in_dispute(recorded, self._metric(visual))
+        self._variance += _UNIT_STD**2 * 2.0 * recorded.duration_s / _UNIT_CHANGES_S
+        self._disagree_s = 0.0
+        self._learned_s += recorded.duration_s
+        # By long motions, as the noise of short ones would seem to be length.
+        if self._learned_s >= _WINDOW_S and (apart < _AGREE).all():
+            self._learn(by_recorded, by_visual)
+            self._learned_s = 0.0
         return _product(recorded, self._metric(visual))
+
+    def _in_dispute(self, recorded: Odometry, seen: Odometry) -> Odometry:
+        """The motion where both disagree."""
+        self._learned_s = 0.0
+        self._disagree_s += recorded.duration_s
+        if self._disagree_s > _LONGEST_S:
+            self._variance = _UNIT_STD**2
+        apart = recorded.previous_from_current.between(seen.previous_from_current).log()
+        return Odometry(seen.previous_from_current, seen.covariance + np.outer(apart, apart), recorded.duration_s)
 
     def _metric(self, visual: Odometry) -> Odometry:
         """Visual odometry in metres; its covariance includes that of its unit."""
-        tangent = visual.previous_from_current.log()
-        along = np.concatenate([tangent[:3], np.zeros(3)])
-        to_metres = np.diag(np.repeat([self._unit, 1.0], 3))
-        covariance = to_metres @ visual.covariance @ to_metres + self._variance * np.outer(along, along)
-        return Odometry(Poses.exp(to_metres @ tangent), covariance, visual.duration_s)
+        tangent, lengths = visual.previous_from_current.log(), np.repeat([1.0, 0.0], 3)
+        moved = Poses.exp((1.0 + (self._unit - 1.0) * lengths) * tangent)
+        longer = Poses.exp((1.0 + (self._unit + _SMALL - 1.0) * lengths) * tangent)
+        by_unit = moved.between(longer).log() / _SMALL
+        spread = np.diag(1.0 + (np.hypot(self._unit, np.sqrt(self._variance)) - 1.0) * lengths)
+        covariance = spread @ visual.covariance @ spread + self._variance * np.outer(by_unit, by_unit)
+        return Odometry(moved, covariance, visual.duration_s)
 
     def _learn(self, recorded: Odometry, visual: Odometry) -> None:
         """Correct the unit by one motion: a Kalman update."""
@@ -69,11 +88,20 @@ class OdometryFusion:
         noise = recorded.covariance[:3, :3] + self._unit**2 * visual.covariance[:3, :3]
         information = np.linalg.solve(noise, along)
         of_motion = float(along @ information)
-        if of_motion <= 0.0:
+        if along @ np.linalg.solve(visual.covariance[:3, :3], along) < _MOVED:
             return
         variance = 1.0 / (1.0 / self._variance + of_motion)
         self._unit = max(self._unit + variance * float(information @ (length - self._unit * along)), 1e-3)
         self._variance = variance
+
+
+def _apart(recorded: Odometry, seen: Odometry) -> Float64[np.ndarray, " 2"]:
+    """Squared distances of two motions: of all six degrees of freedom, and along the way."""
+    difference = recorded.previous_from_current.between(seen.previous_from_current).log()
+    spread = recorded.covariance + seen.covariance
+    way = recorded.previous_from_current.translation
+    along = (way @ difference[:3]) ** 2 / max(float(way @ spread[:3, :3] @ way), 1e-300)
+    return np.array([difference @ np.linalg.solve(spread, difference), along])
 
 
 def _joined(motions: list[Odometry]) -> Odometry:

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from sequences.visual_odometry.odometry import VisualOdometry
 _TOLERANCE = 0.1  # of the time between frames: stamps tremble
 
 
+@runtime_checkable
 class FrameSource(Protocol):
     """Frames in order of time: `SequenceReader`, `ImageSequence`, or one of these with visual odometry."""
 
