@@ -166,7 +166,9 @@ class Sources(NamedTuple):
         else:
             camera, moved = camera.across_gap(_gap_motion(self.mode, step, config.gap))
             still = Odometry.still(step.elapsed_s)
-            to_here = transition(still, config.gap.velocity, moved, noise, new_drift=not in_gap)
+            # Motion without odometry says nothing of its scale.
+            velocity = replace(config.gap.velocity, scale=config.odometry_bias.scale)
+            to_here = transition(still, velocity, moved, noise, new_drift=not in_gap)
         power = 0.0
         if not step.posterior.is_uninformative:
             camera, _, power = camera.observe(step.posterior)
