@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from filtering.storeys import Storeys as Storeys
     from sequences.image_sequence import ImageSequence as ImageSequence
     from sequences.reader import SequenceReader as SequenceReader
+    from sequences.visual_odometry.odometry import VisualOdometry as VisualOdometry
     from vapor.calibration.calibrate import calibrate_model as calibrate_model
     from vapor.landmarks.verify import LandmarkVerifier as LandmarkVerifier
     from vapor.observation import VaporObservationModel as VaporObservationModel
@@ -64,6 +65,7 @@ _MODULES = {
     "VaporObservationModel": "vapor.observation",
     "VaporTrackError": "filtering.errors",
     "View": "filtering.observation",
+    "VisualOdometry": "sequences.visual_odometry.odometry",
     "calibrate_model": "vapor.calibration.calibrate",
     "fuse": "vapor.pipeline.fuse",
     "live": "vapor.robot.live",

@@ -1,6 +1,7 @@
 """Visual odometry on images of textured boards whose poses are known."""
 
 from functools import cache
+from itertools import islice
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import pytest
 from filtering.errors import VaporTrackError
 from filtering.motion import Odometry
 from filtering.se3 import Poses
+from sequences.datasets.frames import posed_frames
 from sequences.visual_odometry.odometry import VisualOdometry
 from tests.helpers.boards import CAMERA, Board, Room
 
@@ -199,3 +201,23 @@ def test_bad_input_is_refused_and_changes_nothing(image, time_ns, message):
     with pytest.raises(VaporTrackError, match=message):
         visual.step(image, time_ns)
     assert visual.step(images[1], STEP_NS) is not None
+
+
+@pytest.mark.parametrize("folder", ["tum_fr1/rgbd_dataset_freiburg1_rpy", "7scenes_redkitchen"])
+def test_motions_of_real_images_err_as_their_covariances_state(shared_data, folder):
+    """Over a third of a second; the unit of each motion is the one that fits it best, within what rooms allow."""
+    visual, motions, true = None, [], []
+    for frame in islice(posed_frames(shared_data / folder), 151):
+        visual = visual or VisualOdometry(frame.camera)
+        motions.append(visual.step(frame.image, frame.time_ns, frame.camera))
+        true.append(frame.world_from_camera)
+    squared = []
+    for a in range(15, 140, 5):
+        motion, real = whole(motions[a + 1 : a + 11]), true[a].inverse() @ true[a + 10]
+        way, length = motion.previous_from_current.translation, real.translation
+        unit = float(np.clip((way @ length) / (way @ way), 0.4, 2.5))
+        metric = in_metres(motion, unit)
+        error = metric.previous_from_current.between(real).log()
+        spread = metric.covariance + np.diag([0.005**2] * 3 + [0.005**2] * 3)  # of the true poses
+        squared.append(error @ np.linalg.solve(spread, error))
+    assert 0.3 < np.mean(squared) < 8.0  # of five degrees of freedom
