@@ -10,6 +10,7 @@ import numpy as np
 from filtering.cameras import CameraMemory
 from filtering.hypotheses import Hypotheses
 from filtering.identity import KnownModes
+from filtering.motion import GapMotion
 from filtering.unchecked import unchecked_replace
 
 
@@ -27,6 +28,7 @@ class Belief:
         agreement: Fraction of the belief that fits the latest images, in [0, 1].
         usual_agreement: The same over a longer time.
         unseen_s: Seconds since an image with any place, or one out of distribution.
+        gap_motion: The latest motion, where odometry was missing.
         drift: Mean (6,) and covariance (6, 6) of the odometry's drift before a gap; None where odometry is known.
         usual_m_per_s: Average speed by odometry over the last seconds.
         provisional: Whether the next informative image replaces the belief.
@@ -42,6 +44,7 @@ class Belief:
     agreement: float = 1.0
     usual_agreement: float = 1.0
     unseen_s: float = 0.0
+    gap_motion: GapMotion | None = None
     drift: tuple[np.ndarray, np.ndarray] | None = None
     usual_m_per_s: float = 0.0
     provisional: bool = False

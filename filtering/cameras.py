@@ -3,49 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
 from filtering.adaptation import ErrorScale
-from filtering.config import GapConfig
 from filtering.measurement_noise import MeasurementNoise
-from filtering.motion import Odometry
+from filtering.motion import GapMotion, Odometry
 from filtering.novelty import NoveltyTracker
 from filtering.observation import View
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from filtering.unchecked import unchecked_replace
-
-
-class GapMotion(NamedTuple):
-    """What is known of a motion without odometry.
-
-    Attributes:
-        likely: Pose after it in the frame before it, by the velocity that the belief has found.
-        unknown_m: Distance that the camera may have come beside it, metres.
-        unknown_rad: Likewise an angle, radians.
-    """
-
-    likely: Poses
-    unknown_m: float = 0.0
-    unknown_rad: float = 0.0
-
-    @staticmethod
-    def of(likely: Poses, unseen_s: float, duration_s: float, gap: GapConfig) -> GapMotion:
-        """That of a camera whose last image was `unseen_s` seconds before the motion began.
-
-        A velocity lasts for a time (`GapConfig.time_s`). For longer without an image the camera may be anywhere.
-        """
-        before_s, after_s = (max(each - gap.time_s, 0.0) for each in (unseen_s, unseen_s + duration_s))
-        unknown_s = after_s - before_s
-        return GapMotion(likely, gap.speed_m_per_s * unknown_s, gap.turn_rad_per_s * unknown_s)
-
-    def of_another_frame(self, this_from_other: Poses) -> GapMotion:
-        """The motion of another frame that is fixed to this one (one pose)."""
-        if this_from_other.is_identity:
-            return self
-        return self._replace(likely=this_from_other.inverse() @ self.likely @ this_from_other)
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from filtering.errors import VaporTrackError, require_within
 from filtering.hypotheses import Hypotheses
 from filtering.measurement_noise import MeasurementNoise
 from filtering.moments import mixture_moments
+from filtering.motion import GapMotion
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 
@@ -166,6 +167,7 @@ class Estimate:
             images are correlated.
         ood_score: Of the image, see `PosePosterior`; 0 where there was none.
         odometry_scale_error: Found in the odometry: where it is positive, reported distances are too long.
+        gap_motion: How the camera moved in this step, where odometry was missing.
     """
 
     modes: tuple[Mode, ...]
@@ -180,6 +182,7 @@ class Estimate:
     normalized_distance: float
     ood_score: float
     odometry_scale_error: float = 0.0
+    gap_motion: GapMotion | None = None
 
     @property
     def effective_sample_size(self) -> float:

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float64, Int64
 
 from filtering.estimate import Estimate, Mode, ModeConfig
 from filtering.measurement_noise import PLACE, MeasurementNoise
-from filtering.motion import Odometry
+from filtering.motion import GapMotion, Odometry
 from filtering.observation import Observation
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
@@ -35,6 +35,7 @@ class FilterStep:
         weights: Theirs, (p,).
         modes: The filter's, the heaviest two.
         odometry_scale_error: That the filter found.
+        gap_motion: Where odometry was missing, as the filter took it.
     """
 
     posterior: PosePosterior
@@ -45,6 +46,7 @@ class FilterStep:
     weights: Float64[np.ndarray, " p"]
     modes: tuple[Mode, ...]
     odometry_scale_error: float = 0.0
+    gap_motion: GapMotion | None = None
 
     @staticmethod
     def of(observation: Observation, estimate: Estimate) -> FilterStep:
@@ -63,6 +65,7 @@ class FilterStep:
             weights[heavy],
             tuple(modes),
             estimate.odometry_scale_error,
+            estimate.gap_motion,
         )
 
 

@@ -16,7 +16,7 @@ from jaxtyping import Float64
 from scipy.special import fdtri
 
 from filtering.association import Correlation, corrected_poses, pair
-from filtering.cameras import CameraMemory, GapMotion, Source
+from filtering.cameras import CameraMemory, Source
 from filtering.config import GapConfig, LocalizerConfig
 from filtering.errors import VaporTrackError, require_within
 from filtering.estimate import Mode
@@ -26,7 +26,7 @@ from filtering.moments import settle
 from filtering.motion import Odometry, OdometryBias, require_odometry
 from filtering.observation import Observation
 from filtering.posterior import PosePosterior
-from filtering.prediction import likely_motion, limit_rotation, motion_of_state
+from filtering.prediction import gap_motion, limit_rotation, motion_of_state
 from filtering.se3 import Poses
 
 
@@ -64,6 +64,7 @@ class KalmanLocalizer:
         self._provisional = False  # whether the next informative image restarts it
         self._drift: tuple[np.ndarray, np.ndarray] | None = None  # of odometry, before a gap
         self._rejected_s: float | None = None  # since the first of the images rejected in a row
+        self._unseen_s = 0.0  # since the latest image with a place, in a gap
 
     def update(self, posterior: PosePosterior, odom: Odometry | None, *, elapsed_s: float = 1.0) -> Mode:
         """Follow one image.
@@ -106,6 +107,7 @@ class KalmanLocalizer:
         else:
             self._predict(self._pose, odom, elapsed_s)
             if not posterior.is_uninformative:
+                self._unseen_s = 0.0
                 self._know(posterior.noise)
                 correlations = [
                     Correlation(source.number, source.tracker.normalized_distance) for source in self._sources
@@ -170,7 +172,8 @@ class KalmanLocalizer:
                 self._drift = hypothesis.mean[0, 1:7], hypothesis.covariance[0, DRIFT, DRIFT]
                 hypothesis = with_drift(hypothesis, np.zeros(6), np.eye(6))
                 self._take(hypothesis)
-            motion = GapMotion.of(likely_motion(hypothesis, gap.velocity, elapsed_s), 0.0, elapsed_s, gap)
+            motion = gap_motion(hypothesis, self._unseen_s, elapsed_s, gap)
+            self._unseen_s += elapsed_s
             after = [source.across_gap(motion) for source in self._sources]
         else:
             likely = odom.rescaled(hypothesis.mean[0, 0])

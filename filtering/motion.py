@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float64
@@ -267,6 +267,26 @@ class MotionNoise:
         require_duration(duration_s)
         tangent = previous_from_current.log()
         return accumulated(tangent, np.diag(self.along(tangent, np.array(duration_s))))
+
+
+class GapMotion(NamedTuple):
+    """What is known of a motion without odometry.
+
+    Attributes:
+        likely: Pose after it in the frame before it, by the velocity that the belief has found.
+        unknown_m: Distance that the camera may have come beside it, metres.
+        unknown_rad: Likewise an angle, radians.
+    """
+
+    likely: Poses
+    unknown_m: float = 0.0
+    unknown_rad: float = 0.0
+
+    def of_another_frame(self, this_from_other: Poses) -> GapMotion:
+        """The motion of another frame that is fixed to this one (one pose)."""
+        if this_from_other.is_identity:
+            return self
+        return self._replace(likely=this_from_other.inverse() @ self.likely @ this_from_other)
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from filtering.hypotheses import (
 )
 from filtering.measurement_noise import MeasurementNoise
 from filtering.moments import settle
-from filtering.motion import Odometry, OdometryBias
+from filtering.motion import GapMotion, Odometry, OdometryBias
 from filtering.se3 import Poses
 from filtering.unchecked import unchecked_replace
 
@@ -255,16 +255,22 @@ def across_gap(
     return moved
 
 
-def likely_motion(hypotheses: Hypotheses, velocity: OdometryBias, duration_s: float) -> Poses:
-    """The motion without odometry by the velocity of the heaviest hypothesis (one pose).
+def gap_motion(hypotheses: Hypotheses, unseen_s: float, duration_s: float, gap: GapConfig) -> GapMotion:
+    """The motion without odometry, by the velocity of the heaviest hypothesis.
+
+    A velocity lasts for a time (`GapConfig.time_s`). For longer without an image the camera may be anywhere.
 
     Args:
-        hypotheses: Before.
-        velocity: `GapConfig.velocity`, in whose units their drift is.
+        hypotheses: Before, whose drift is in units of `GapConfig.velocity`.
+        unseen_s: Seconds since the latest image, before it.
         duration_s: Seconds of it.
+        gap: Settings.
     """
     drift = hypotheses.mean[int(np.argmax(hypotheses.log_weights)), 1:7]
-    return Poses.exp(_errors_of(Odometry.still(duration_s), velocity)[:, 1:] @ drift)
+    likely = Poses.exp(_errors_of(Odometry.still(duration_s), gap.velocity)[:, 1:] @ drift)
+    before_s, after_s = (max(each - gap.time_s, 0.0) for each in (unseen_s, unseen_s + duration_s))
+    unknown_s = after_s - before_s
+    return GapMotion(likely, gap.speed_m_per_s * unknown_s, gap.turn_rad_per_s * unknown_s)
 
 
 def limit_rotation(covariance: Float64[np.ndarray, "n d d"]) -> None:

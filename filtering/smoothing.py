@@ -14,14 +14,14 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
-from filtering.cameras import CameraMemory, GapMotion
+from filtering.cameras import CameraMemory
 from filtering.chain_solver import solve
 from filtering.config import GapConfig, LocalizerConfig
 from filtering.errors import VaporTrackError, require_within
 from filtering.estimate import Mode
 from filtering.hindsight import FilterStep, Hindsight, SmoothedTrajectory
 from filtering.measurement_noise import MeasurementNoise
-from filtering.motion import Odometry, OdometryBias
+from filtering.motion import GapMotion, Odometry, OdometryBias
 from filtering.observation import Observation
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
@@ -133,12 +133,10 @@ class Sources(NamedTuple):
     Attributes:
         camera: Its memory.
         in_gap: Whether odometry was missing before the latest image; None before the first image.
-        mode: Of the filter at the latest image; None without any.
     """
 
     camera: CameraMemory
     in_gap: bool | None = None
-    mode: Mode | None = None
 
     @staticmethod
     def unseen(noise: MeasurementNoise, config: SmoothingConfig) -> Sources:
@@ -164,7 +162,7 @@ class Sources(NamedTuple):
             camera, moved = camera.predict(motion.rescaled(step.odometry_scale_error))
             to_here = transition(motion, config.odometry_bias, moved, noise, new_drift=in_gap)
         else:
-            camera, moved = camera.across_gap(_gap_motion(self.mode, step, config.gap))
+            camera, moved = camera.across_gap(step.gap_motion or GapMotion(Poses.identity()))
             still = Odometry.still(step.elapsed_s)
             # Motion without odometry says nothing of its scale.
             velocity = replace(config.gap.velocity, scale=config.odometry_bias.scale)
@@ -176,15 +174,7 @@ class Sources(NamedTuple):
         searched = SearchStep(
             step.posterior, pose, step.elapsed_s, power, config.outlier_places, step.hypotheses, step.weights
         )
-        mode = step.modes[0] if step.modes else None
-        return Sources(camera, in_gap is not None and motion is None, mode), moved, to_here, searched
-
-
-def _gap_motion(before: Mode | None, step: FilterStep, gap: GapConfig) -> GapMotion:
-    """The motion without odometry from a mode of the filter to a step's."""
-    if before is None or not step.modes:
-        return GapMotion(Poses.identity(), gap.speed_m_per_s * step.elapsed_s, gap.turn_rad_per_s * step.elapsed_s)
-    return GapMotion(before.world_from_camera.inverse() @ step.modes[0].world_from_camera)
+        return Sources(camera, in_gap is not None and motion is None), moved, to_here, searched
 
 
 def _prepare(steps: Sequence[FilterStep], noise: MeasurementNoise, config: SmoothingConfig) -> Prepared:

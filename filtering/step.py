@@ -14,7 +14,7 @@ import numpy as np
 from filtering.association import Correlation, correct, evidence, gate
 from filtering.belief import Belief
 from filtering.births import BIRTHS
-from filtering.cameras import CameraMemory, GapMotion
+from filtering.cameras import CameraMemory
 from filtering.config import LocalizerConfig
 from filtering.errors import VaporTrackError
 from filtering.estimate import Estimate, Mode, Status, describe_modes
@@ -33,7 +33,7 @@ from filtering.mixture_reduction import reduce_mixture
 from filtering.motion import Odometry, OdometryBias, require_odometry
 from filtering.observation import Observation, View
 from filtering.posterior import PosePosterior
-from filtering.prediction import across_gap, leaps, likely_motion, moved, unknown_velocity, usual_speed, with_regimes
+from filtering.prediction import across_gap, gap_motion, leaps, moved, unknown_velocity, usual_speed, with_regimes
 from filtering.prediction import predict as predict_hypotheses
 from filtering.unchecked import unchecked_replace
 
@@ -103,6 +103,7 @@ def predict(
         known=belief.known.carried(hypotheses, after_motion.poses, noise, config.modes),
         drift=None,
         unseen_s=belief.unseen_s + odometry.duration_s,
+        gap_motion=None,
         normalized_distance=belief.normalized_distance + distances[0],
     )
 
@@ -116,7 +117,7 @@ def _across_gap(belief: Belief, elapsed_s: float, config: LocalizerConfig) -> Be
         drift = mean[1:], covariance[1:, 1:]
         hypotheses = unchecked_replace(hypotheses, regime=np.full(len(hypotheses), RIGHT))
         hypotheses = with_drift(hypotheses, np.zeros(6), np.eye(6))
-    motion = GapMotion.of(likely_motion(hypotheses, gap.velocity, elapsed_s), belief.unseen_s, elapsed_s, gap)
+    motion = gap_motion(hypotheses, belief.unseen_s, elapsed_s, gap)
     after = {name: camera.across_gap(motion) for name, camera in belief.cameras.items()}
     distances = _by_source(after)
     forgets = gap.action == "forget"
@@ -130,6 +131,7 @@ def _across_gap(belief: Belief, elapsed_s: float, config: LocalizerConfig) -> Be
         agreement=0.0 if forgets else belief.agreement,
         unseen_s=belief.unseen_s + elapsed_s,
         provisional=belief.provisional or forgets,
+        gap_motion=motion,
         normalized_distance=belief.normalized_distance + distances[0],
     )
 
@@ -364,6 +366,7 @@ def describe(
         belief.normalized_distance,
         max((view.posterior.ood_score for view in views), default=0.0),
         float(odometry_bias_of(hypotheses)[0][0]),
+        belief.gap_motion,
     )
     return unchecked_replace(belief, known=unchecked_replace(known, best=modes[0].identity)), estimate
 

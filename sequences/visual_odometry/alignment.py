@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Bool, Float64, Int64
 
 from filtering.se3 import Poses, skew
 from sequences.visual_odometry.tracks import LEAST_DEPTH, KeyFrame, Tracks, pixel_jacobian, project
@@ -69,6 +69,7 @@ def align(
     prior: MotionPrior,
     focal: Float64[np.ndarray, " 2"],
     centre: Float64[np.ndarray, " 2"],
+    size: Int64[np.ndarray, " 2"],
     usual_cost: float,
 ) -> Alignment:
     """Find the pose at which the features are where they were tracked to.
@@ -83,6 +84,7 @@ def align(
         prior: Of the pose.
         focal: Focal lengths, pixels.
         centre: Principal point, pixels.
+        size: Of the image, width and height, pixels.
         usual_cost: Of the images before.
     """
     fits = []
@@ -93,7 +95,7 @@ def align(
     fit = min(fits, key=lambda each: each.cost)
     usual = max(float(np.median(fit.squared)) / _MEDIAN, 1.0)
     information = fit.information.sum(axis=0) + np.diag(1.0 / np.square(prior.std))
-    covariance = usual * np.linalg.inv(information) + _left_out(fit, information, tracks, 2.0 * centre + 1.0)
+    covariance = usual * np.linalg.inv(information) + _left_out(fit, information, tracks, size)
     return Alignment(fit.pose, covariance, fit.squared < _OUTLIER * usual, fit.cost)
 
 
@@ -146,7 +148,7 @@ def _linearized(
 
 
 def _left_out(
-    fit: _Fit, information: Float64[np.ndarray, "6 6"], tracks: Tracks, size: Float64[np.ndarray, " 2"]
+    fit: _Fit, information: Float64[np.ndarray, "6 6"], tracks: Tracks, size: Int64[np.ndarray, " 2"]
 ) -> Float64[np.ndarray, "6 6"]:
     """Jackknife covariance: how the pose changes where the features of a part of the image are left out.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import ClassVar
 
 import cv2
 import numpy as np
@@ -18,9 +19,6 @@ from sequences.visual_odometry.alignment import Alignment, MotionPrior, align
 from sequences.visual_odometry.features import Grey, detect, pixel_covariance, track
 from sequences.visual_odometry.tracks import KeyFrame, Tracks, project
 from sequences.visual_odometry.two_view import initialize
-
-VISUAL_BIAS = OdometryBias(scale=1.0, relative_drift=1.0, time_s=5.0, scale_time_s=200.0)
-"""Of visual odometry: its unit is unknown, and changes slowly."""
 
 _USUAL_DEPTH_M = 2.0  # of a room; the unit is that in which features have this depth
 _WIDTH = 340  # pixels: larger images are scaled down
@@ -42,7 +40,9 @@ _FIRST_SURPRISE, _MOST_SURPRISE = 3.0, 20.0
 _FIRST_COST = 1.5
 _FOLLOWS = 0.3  # of cost and surprise at the latest image or key frame
 _NEW_MAP = 2  # key frames, which hold the unit
-_LONGEST_S = 1.0  # between images
+_LONGEST_S, _LEAST_S = 1.0, 1 / 60  # between images; for less the prior is as wide
+_MOST_TIMES = 3.0  # of the motion before: a prediction
+_ALIKE = 0.01  # of focal lengths and of the size: intrinsics of one camera
 
 
 class VisualOdometry:
@@ -50,14 +50,17 @@ class VisualOdometry:
 
     Features are tracked from image to image; their depths and the poses of a few key frames are those that fit best
     (bundle adjustment over a window). The length of a motion is in a unit in which the scene is some two metres away: a
-    filter finds how long it is (`VISUAL_BIAS`). Its covariance is wider where features are few, move among themselves,
-    or do not determine the motion.
+    filter finds how long it is, with `LocalizerConfig(odometry_bias=VisualOdometry.bias)`. Its covariance is wider
+    where features are few, move among themselves, or do not determine the motion, and where key frames corrected the
+    motions lately by more than was expected.
 
     Source: keyframe-based monocular odometry as of Klein and Murray, "Parallel tracking and mapping for small AR
     workspaces", ISMAR 2007; inverse depths as of Civera et al., T-RO 2008.
     """
 
-    bias = VISUAL_BIAS
+    bias: ClassVar[OdometryBias] = OdometryBias(scale=1.0, relative_drift=1.0, time_s=5.0, scale_time_s=200.0)
+    """How the motions err beside their covariances: their unit is unknown and changes slowly. For
+    `LocalizerConfig.odometry_bias`."""
 
     def __init__(self, camera: Camera) -> None:
         """Before the first image.
@@ -73,7 +76,7 @@ class VisualOdometry:
     def _set_camera(self, camera: Camera) -> None:
         self.camera = camera
         scale = min(1.0, _WIDTH / camera.width)
-        small = camera.scaled(round(scale * camera.width), round(scale * camera.height))
+        small = camera.scaled(*(max(round(scale * side), 1) for side in (camera.width, camera.height)))
         self._size = small.width, small.height
         self._focal, self._centre = np.array([small.fx, small.fy]), np.array([small.cx, small.cy])
 
@@ -100,17 +103,22 @@ class VisualOdometry:
 
         Returns:
             The motion, and its covariance apart from the unit of its length. None for the first image, and where the
-            images do not say how the camera moved: too few features, another scene, or more than a second without an
-            image that differs from the one before.
+            images do not say how the camera moved: too few features, another scene, more than a second between them, or
+            the same image again for longer than that.
 
         Raises:
             VaporTrackError: the image is not one, has another size than its camera, or its time is not later than that
                 of the one before.
         """
-        grey = self._grey(image, camera)
+        camera = camera or self.camera
+        _require_image(image, camera)
         before, before_ns = self._image, self._time_ns
         if before_ns is not None and time_ns <= before_ns:
             raise VaporTrackError(f"time_ns is {time_ns} after {before_ns}, expected later images")
+        if camera != self.camera:
+            before = before if _is_alike(camera, self.camera) else None
+            self._set_camera(camera)
+        grey = self._grey(image)
         self._image, self._time_ns = grey, time_ns
         if before is None or before_ns is None:
             self._start(grey)
@@ -119,7 +127,7 @@ class VisualOdometry:
         self._since_s += duration_s
         if np.array_equal(before, grey):
             return self._repeated(duration_s)
-        motion = self._follow(before, grey, duration_s) if self._since_s <= _LONGEST_S else None
+        motion = self._follow(before, grey, duration_s) if duration_s <= _LONGEST_S else None
         self._since_s = 0.0
         if motion is None:
             self._start(grey)
@@ -132,18 +140,9 @@ class VisualOdometry:
         moved = self._motion.log() * min(duration_s / self._usual_s, 1.0)
         return Odometry(Poses.identity(), np.outer(moved, moved) + 1e-8 * np.eye(6), duration_s)
 
-    def _grey(self, image: np.ndarray, camera: Camera | None) -> Grey:
-        if image.dtype != np.uint8 or image.ndim not in (2, 3):
-            raise VaporTrackError(f"image is {image.dtype} {image.shape}, expected uint8 (height, width, 3)")
-        if camera is not None and camera != self.camera:
-            self._set_camera(camera)
-            self._image = None
-        if image.shape[:2] != (self.camera.height, self.camera.width):
-            raise VaporTrackError(
-                f"image is {image.shape[1]} x {image.shape[0]} pixels, its camera {self.camera.width} x"
-                f" {self.camera.height}"
-            )
-        grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    def _grey(self, image: np.ndarray) -> Grey:
+        """The image as it is tracked: a copy, as callers may use their memory again."""
+        grey = image.copy() if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
         if self._size != grey.shape[::-1]:
             grey = cv2.resize(grey, self._size, interpolation=cv2.INTER_AREA)
         return np.asarray(grey, np.uint8)
@@ -178,16 +177,28 @@ class VisualOdometry:
         return odometry
 
     def _aligned(self, since_s: float) -> Alignment:
-        predicted = self._motion @ self._pose
-        std = np.repeat([_SPEED_UP * _USUAL_DEPTH_M, _TURN_UP], 3) * since_s**2
+        predicted = self._expected_motion() @ self._pose
+        std = np.repeat([_SPEED_UP * _USUAL_DEPTH_M, _TURN_UP], 3) * max(since_s, _LEAST_S) ** 2
         prior = MotionPrior(predicted, std)
         return align(
-            self._tracks, self._key_frames, [predicted, self._pose], prior, self._focal, self._centre, self._cost
+            self._tracks,
+            self._key_frames,
+            [predicted, self._pose],
+            prior,
+            self._focal,
+            self._centre,
+            np.array(self._size),
+            self._cost,
         )
+
+    def _expected_motion(self) -> Poses:
+        """The motion to the image if the camera goes on as it does."""
+        times = self._since_s / self._usual_s if self._usual_s > 0.0 else 1.0
+        return Poses.exp(min(times, _MOST_TIMES) * self._motion.log())
 
     def _predicted(self) -> np.ndarray:
         """Where the features are in the next image if the camera goes on as it does."""
-        points = project(self._tracks, self._motion @ self._pose, self._key_frames).points
+        points = project(self._tracks, self._expected_motion() @ self._pose, self._key_frames).points
         at = points[:, :2] / np.maximum(points[:, 2:], 1e-3) * self._focal + self._centre
         far = (points[:, 2] < 1e-2) | (np.linalg.norm(at - self._tracks.pixels, axis=1) > _FARTHEST_PX)
         return np.where(far[:, None], self._tracks.pixels, at).astype(np.float32)
@@ -272,6 +283,26 @@ class VisualOdometry:
             squared = corrected @ np.linalg.solve(self._since_key_frame + 1e-8 * np.eye(6), corrected)
             self._surprise += _FOLLOWS * (min(float(squared) / 6.0, _MOST_SURPRISE) - self._surprise)
         self._since_key_frame = np.zeros((6, 6))
+
+
+def _require_image(image: np.ndarray, camera: Camera) -> None:
+    if image.dtype != np.uint8 or image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] != 3):
+        raise VaporTrackError(
+            f"image is {image.dtype} {image.shape}, expected uint8 (height, width, 3), or (height, width)"
+        )
+    if image.shape[:2] != (camera.height, camera.width):
+        raise VaporTrackError(
+            f"image is {image.shape[1]} x {image.shape[0]} pixels, its camera {camera.width} x {camera.height}"
+        )
+
+
+def _is_alike(camera: Camera, other: Camera) -> bool:
+    """Whether two intrinsics are of one camera that focuses."""
+    if (camera.width, camera.height) != (other.width, other.height):
+        return False
+    focal = abs(camera.fx / other.fx - 1.0), abs(camera.fy / other.fy - 1.0)
+    centre = abs(camera.cx - other.cx) / camera.width, abs(camera.cy - other.cy) / camera.height
+    return max(*focal, *centre) <= _ALIKE
 
 
 def _without_first(

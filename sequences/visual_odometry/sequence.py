@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
@@ -12,6 +12,7 @@ import numpy as np
 
 from filtering.motion import Odometry
 from sequences.frame import Camera, Frame
+from sequences.images.undistortion import same_aspect
 from sequences.reading.counts import BETWEEN, ImageCounts
 from sequences.visual_odometry.fusion import OdometryFusion
 from sequences.visual_odometry.odometry import VisualOdometry
@@ -65,23 +66,34 @@ class VisualSequence:
 
     has_odometry = True
 
-    def __init__(self, frames: FrameSource, camera: Camera, *, beside: bool = False, most_hz: float = np.inf) -> None:
+    def __init__(
+        self,
+        frames: FrameSource,
+        camera: Camera,
+        *,
+        beside: bool = False,
+        restated: Callable[[Odometry], Odometry] | None = None,
+        most_hz: float = np.inf,
+    ) -> None:
         """Around a sequence.
 
         Args:
             frames: The sequence.
-            camera: Of the images that state none; scaled to their size.
+            camera: Of the images that state none and have its aspect ratio; scaled to their size.
             beside: Whether recorded odometry is used as well: both correct each other (`OdometryFusion`). Otherwise it
                 is replaced.
-            most_hz: Frames a second that are given at most; the images between them only show how the camera moved.
+            restated: Gives recorded odometry with its fitted noise.
+            most_hz: Frames a second that are given at most, on average; the images between them only show how the
+                camera moved.
         """
         self._frames, self._camera, self.beside = frames, camera, beside
-        self._least_ns = 1e9 / most_hz * (1.0 - _TOLERANCE)
+        self._restated, self._period_ns = restated, 1e9 / most_hz
         self.path, self.camera, self.num_images = frames.path, frames.camera, frames.num_images
         self.image_description = frames.image_description
         recorded = frames.odometry_description or "recorded"
         self.odometry_description: str | None = f"{recorded}, and visual" if beside else "visual"
         self._num_unknown = self._num_between = 0
+        self._disagreed_s = 0.0
 
     @property
     def counts(self) -> ImageCounts:
@@ -106,34 +118,53 @@ class VisualSequence:
     @property
     def notices(self) -> list[str]:
         """Sentences for users; complete after an iteration."""
-        if not self._num_unknown:
-            return self._frames.notices
-        unknown = (
-            f"before {self._num_unknown} images the images do not say how the camera moved: visual odometry lost it"
-        )
-        return [*self._frames.notices, unknown]
+        notices = [*self._frames.notices]
+        if self._num_unknown:
+            notices.append(f"before {self._num_unknown} images the images do not say how the camera moved")
+        if self._disagreed_s > 0.0:
+            notices.append(
+                f"recorded and visual odometry disagree for {self._disagreed_s:.1f} s: wheels slip, or something moves"
+                " in the images"
+            )
+        return notices
 
     def __iter__(self) -> Iterator[Frame]:
         """Frames in order of time, see the sequence."""
         self._num_unknown = self._num_between = 0
+        self._disagreed_s = 0.0
         visual: VisualOdometry | None = None
         since: list[Odometry | None] = []
-        latest_ns: int | None = None
+        due_ns = -np.inf
         fusion = OdometryFusion() if self.beside else None
         for number, frame in enumerate(self._frames):
-            height, width = frame.image.shape[:2]
-            camera = frame.camera or self._camera.scaled(width, height)
-            visual = visual or VisualOdometry(camera)
-            odometry = visual.step(frame.image, frame.time_ns, camera)
+            camera, odometry = self._camera_of(frame), None
+            if camera is None:
+                visual = None
+            else:
+                visual = visual or VisualOdometry(camera)
+                odometry = visual.step(frame.image, frame.time_ns, camera)
             self._num_unknown += number > 0 and odometry is None
             if fusion is not None:
-                odometry = fusion.step(frame.odometry, odometry)
+                recorded = frame.odometry
+                if recorded is not None and self._restated is not None:
+                    recorded = self._restated(recorded)
+                odometry = fusion.step(recorded, odometry)
+                self._disagreed_s = fusion.disagreed_s
             since.append(odometry)
-            if latest_ns is not None and frame.time_ns - latest_ns < self._least_ns:
+            if frame.time_ns < due_ns - _TOLERANCE * self._period_ns:
                 self._num_between += 1
                 continue
             yield replace(frame, odometry=_whole(since) if number else None)
-            since, latest_ns = [], frame.time_ns
+            # On average, unless images were missing.
+            before_ns = due_ns if due_ns > frame.time_ns - self._period_ns else frame.time_ns
+            since, due_ns = [], before_ns + self._period_ns
+
+    def _camera_of(self, frame: Frame) -> Camera | None:
+        """The intrinsics of a frame; None where neither it nor the camera assumed has any."""
+        height, width = frame.image.shape[:2]
+        if frame.camera is not None:
+            return frame.camera
+        return self._camera.scaled(width, height) if same_aspect(self._camera, width, height) else None
 
 
 def _whole(motions: Sequence[Odometry | None]) -> Odometry | None:

@@ -7,10 +7,11 @@ import pytest
 from scipy.stats import chi2
 
 from filtering.adaptation import ErrorScale
-from filtering.cameras import GapMotion, Source
+from filtering.cameras import Source
 from filtering.config import LocalizerConfig
 from filtering.kalman import KalmanConfig, KalmanLocalizer
 from filtering.localizer import ParticleLocalizer
+from filtering.motion import GapMotion
 from filtering.se3 import Poses
 from tests.helpers.modelled_walk import (
     AHEAD,

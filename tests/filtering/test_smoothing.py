@@ -240,3 +240,20 @@ def test_images_that_say_nothing_leave_the_word_to_those_about_them():
     slow = trajectory_agreement(path.truth, at(30) * 10, steps, ERRORS)  # an image a second
     np.testing.assert_allclose(slow, found)
     assert trajectory_agreement(path.truth, at(30) // 10, steps, ERRORS)[15:30].min() > 0.8  # a hundred a second
+
+
+def test_without_odometry_the_camera_has_moved_as_far_in_hindsight_as_in_the_filter():
+    """Images alone of a standing camera buy nothing in either."""
+    localizer, steps, distances = new_localizer(), [], []
+    for error in image_errors([0.0] * 60, ERRORS, rng=RNG(1)):
+        observation = Observation.of_posterior(seen_at(Poses.exp(error)), None, 0.1)
+        estimate = localizer.advance(observation)
+        steps.append(FilterStep.of(observation, estimate))
+        distances.append(estimate.normalized_distance)
+    config = SmoothingConfig.of(LocalizerConfig())
+    sources, moved = Sources.unseen(ERRORS, config), []
+    for step in steps:
+        sources, there, *_ = sources.after(step, ERRORS, config)
+        moved.append(there[0])
+    np.testing.assert_allclose(moved[1:], distances[1:])
+    assert sum(moved) < 5.0  # walking it would be 18

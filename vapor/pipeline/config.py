@@ -68,7 +68,7 @@ class RunConfig(ModelConfig, FilteringConfig):
     """auto: use odometry where it is recorded, and elsewhere make it from the images. recorded: require it. visual:
     make it from the images. both: these correct each other. none: each hypothesis moves with an unknown velocity."""
     localize_hz: float = 10.0
-    """With visual odometry, localize at most so many images a second; those between them show how the camera moved."""
+    """With visual odometry, localize so many images a second on average; those between them show the motion."""
     rate_hz: float = float(ASSUMED_HZ)
     """How many images there are in a second, in a folder of images whose names state no stamps."""
 

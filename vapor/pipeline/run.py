@@ -14,10 +14,11 @@ from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from sequences.frame import Camera, Frame
 from sequences.image_sequence import ImageSequence, is_image_sequence
+from sequences.odometry_fit.result import OdometryFit
 from sequences.options import OdometryUse, SequenceOptions
 from sequences.outputs import results_folder
 from sequences.reader import SequenceReader
-from sequences.visual_odometry.odometry import VISUAL_BIAS
+from sequences.visual_odometry.odometry import VisualOdometry
 from sequences.visual_odometry.sequence import FrameSource, VisualSequence
 from vapor.landmarks.localize import VerifiedPose
 from vapor.landmarks.verify import ShownLandmarks
@@ -100,7 +101,9 @@ def run_into(
     reading = reading or SequenceOptions()
     reader = _open(sequence, reading, config)
     observation = model.observation.seen_by(reader.camera)
-    reader = _with_visual_odometry(reader, observation.description.camera, config)
+    calibration = observation.description.calibration
+    fit = calibration.odometry if config.fitted_odometry else None
+    reader = _with_visual_odometry(reader, observation.description.camera, config, fit)
 
     some: EvenlySpaced[SeenImage] = EvenlySpaced(MOST_IMAGES)
     verified = VerifiedImages(observation)
@@ -111,10 +114,10 @@ def run_into(
         return frame.image
 
     with limited_threads(config.threads):
-        calibration = observation.description.calibration
-        fit = calibration.odometry if config.fitted_odometry and not isinstance(reader, VisualSequence) else None
-        if isinstance(reader, VisualSequence) and not reader.beside:
-            config = replace(config, localizer=replace(config.localizer, odometry_bias=VISUAL_BIAS))
+        if isinstance(reader, VisualSequence):  # which has restated the odometry
+            usual = fit.odometry_bias if fit is not None else config.localizer.odometry_bias
+            bias = usual if reader.beside else VisualOdometry.bias
+            config, fit = replace(config, localizer=replace(config.localizer, odometry_bias=bias)), None
         record = localize(
             reader,
             verified,
@@ -166,13 +169,16 @@ def _open(sequence: Path, reading: SequenceOptions, config: RunConfig) -> FrameS
     return ImageSequence(sequence, reading, rate_hz=config.rate_hz)
 
 
-def _with_visual_odometry(reader: FrameSource, trained: Camera | None, config: RunConfig) -> FrameSource:
+def _with_visual_odometry(
+    reader: FrameSource, trained: Camera | None, config: RunConfig, fit: OdometryFit | None
+) -> FrameSource:
     """The sequence with odometry from its images, where that is asked for or there is no other.
 
     Args:
         reader: The sequence.
         trained: Camera of the training images, for images without intrinsics.
         config: Settings.
+        fit: Errors of recorded odometry; None for those that it states.
 
     Raises:
         VaporTrackError: it is asked for, and no intrinsics are known.
@@ -181,7 +187,9 @@ def _with_visual_odometry(reader: FrameSource, trained: Camera | None, config: R
         return reader
     camera = reader.camera or trained
     if camera is not None:
-        return VisualSequence(reader, camera, beside=config.odometry == "both", most_hz=config.localize_hz)
+        restated = None if fit is None else fit.restated
+        beside = config.odometry == "both"
+        return VisualSequence(reader, camera, beside=beside, restated=restated, most_hz=config.localize_hz)
     if config.odometry != "auto":
         raise VaporTrackError(
             f"{reader.path}: --odometry {config.odometry} without intrinsics, expected CameraInfo or an"

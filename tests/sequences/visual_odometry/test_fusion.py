@@ -1,5 +1,7 @@
 """Recorded and visual odometry together, by simulated motions."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -73,3 +75,43 @@ def test_standing_still_teaches_no_unit():
     _, found = run(0.1)
     assert 0.3 < fusion.unit < 3.0
     assert found[0] is not None
+
+
+@pytest.mark.parametrize("begins_s", [0.0, 5.0])
+def test_wheels_that_are_stuck_teach_no_unit(begins_s):
+    """For three seconds, or from the beginning; the images dropped out for a moment just before."""
+    rng, fusion, moved, variance = np.random.default_rng(0), OdometryFusion(), 0.0, 0.0
+    for i in range(600):
+        t = i * STEP_S
+        stuck = begins_s <= t < begins_s + 3.0
+        by_wheels = reported(np.zeros(6) if stuck else AHEAD, WHEELS_STD, rng)
+        by_eyes = None if begins_s - 0.1 <= t < begins_s else reported(in_units(AHEAD, 2.0), EYES_STD, rng)
+        motion = fusion.step(by_wheels, by_eyes)
+        if t >= begins_s + 4.0:
+            moved += motion.previous_from_current.translation[0]
+            variance += motion.covariance[0, 0]
+    expected = (20.0 - begins_s - 4.0) * 0.5
+    assert moved == pytest.approx(expected, rel=0.1)
+    assert fusion.unit == pytest.approx(2.0, rel=0.2)
+
+
+def test_the_unit_is_never_less_known_than_at_the_beginning():
+    rng, fusion = np.random.default_rng(0), OdometryFusion()
+    still = [reported(np.zeros(6), 0.1 * WHEELS_STD, rng) for _ in range(2)]
+    for _ in range(100):
+        fusion.step(replace(still[0], duration_s=900.0), replace(still[1], duration_s=900.0))
+    moving = fusion.step(None, reported(AHEAD, EYES_STD, rng))
+    assert moving.covariance[0, 0] < 1.1 * 30 * AHEAD[0] ** 2 + 10 * EYES_STD[0] ** 2
+
+
+@pytest.mark.parametrize("wrong_m_per_s", [0.2, 0.4])
+def test_a_disagreement_that_lasts_is_within_what_is_stated_over_seconds(wrong_m_per_s):
+    _, found = run(12.0, unit=2.0, slip=lambda t: wrong_m_per_s if 5.0 < t < 9.0 else 0.0)
+    whole = Odometry.still()
+    for each in found[round(5.0 / STEP_S) : round(9.0 / STEP_S)]:
+        whole = whole.then(each)
+    true = Poses.identity()
+    for _ in range(round(4.0 / STEP_S)):
+        true = true @ Poses.exp(AHEAD)
+    error = whole.previous_from_current.between(true).log()
+    assert error @ np.linalg.solve(whole.covariance, error) < 16.8
