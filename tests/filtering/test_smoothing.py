@@ -14,8 +14,9 @@ from filtering.motion import Odometry
 from filtering.observation import Observation
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
-from filtering.smoothing import SmoothingConfig, smooth
+from filtering.smoothing import SmoothingConfig, Sources, smooth
 from tests.helpers.modelled_walk import BIAS, ERRORS, walk
+from tests.helpers.simulation import image_errors, new_localizer, seen_at
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 
@@ -245,12 +246,12 @@ def test_images_that_say_nothing_leave_the_word_to_those_about_them():
 def test_without_odometry_the_camera_has_moved_as_far_in_hindsight_as_in_the_filter():
     """Images alone of a standing camera buy nothing in either."""
     localizer, steps, distances = new_localizer(), [], []
-    for error in image_errors([0.0] * 60, ERRORS, rng=RNG(1)):
+    for error in image_errors([0.0] * 60, ERRORS, rng=np.random.default_rng(1)):
         observation = Observation.of_posterior(seen_at(Poses.exp(error)), None, 0.1)
         estimate = localizer.advance(observation)
         steps.append(FilterStep.of(observation, estimate))
         distances.append(estimate.normalized_distance)
-    config = SmoothingConfig.of(LocalizerConfig())
+    config = SmoothingConfig.of_filter(LocalizerConfig())
     sources, moved = Sources.unseen(ERRORS, config), []
     for step in steps:
         sources, there, *_ = sources.after(step, ERRORS, config)
