@@ -34,7 +34,7 @@ from vapor.threads import limited_threads
 from vapor.training_data.ground import describe_unshown
 
 _NO_ODOMETRY = "no odometry: each hypothesis moves by an unknown velocity from image to image"
-_VISUAL = "no odometry: it is made from the images"
+_VISUAL = "no odometry: it is made from the images, in a unit that the filter finds; dead reckoning is in that unit"
 _USES: dict[OdometrySource, OdometryUse] = {
     "auto": "auto",
     "recorded": "required",
