@@ -17,6 +17,7 @@ from sequences.reading.counts import BETWEEN, ImageCounts
 from sequences.visual_odometry.fusion import OdometryFusion
 from sequences.visual_odometry.odometry import VisualOdometry
 
+_TRACKED_HZ = 15.0  # features are tracked in so many images a second; more would not be more exact
 _TOLERANCE = 0.1  # of the time between frames: stamps tremble
 
 
@@ -87,7 +88,7 @@ class VisualSequence:
                 camera moved.
         """
         self._frames, self._camera, self.beside = frames, camera, beside
-        self._restated, self._period_ns = restated, 1e9 / most_hz
+        self._restated, self._most_hz = restated, most_hz
         self.path, self.camera, self.num_images = frames.path, frames.camera, frames.num_images
         self.image_description = frames.image_description
         recorded = frames.odometry_description or "recorded"
@@ -133,10 +134,16 @@ class VisualSequence:
         self._num_unknown = self._num_between = 0
         self._disagreed_s = 0.0
         visual: VisualOdometry | None = None
+        recorded: list[Odometry | None] = []
         since: list[Odometry | None] = []
-        due_ns = -np.inf
+        tracked, given = Rate(max(_TRACKED_HZ, self._most_hz)), Rate(self._most_hz)
         fusion = OdometryFusion() if self.beside else None
         for number, frame in enumerate(self._frames):
+            motion = frame.odometry
+            recorded.append(motion if motion is None or self._restated is None else self._restated(motion))
+            if not tracked.is_due(frame.time_ns):
+                self._num_between += 1
+                continue
             camera, odometry = self._camera_of(frame), None
             if camera is None:
                 visual = None
@@ -145,19 +152,15 @@ class VisualSequence:
                 odometry = visual.step(frame.image, frame.time_ns, camera)
             self._num_unknown += number > 0 and odometry is None
             if fusion is not None:
-                recorded = frame.odometry
-                if recorded is not None and self._restated is not None:
-                    recorded = self._restated(recorded)
-                odometry = fusion.step(recorded, odometry)
+                odometry = fusion.step(_whole(recorded), odometry)
                 self._disagreed_s = fusion.disagreed_s
+            recorded = []
             since.append(odometry)
-            if frame.time_ns < due_ns - _TOLERANCE * self._period_ns:
+            if not given.is_due(frame.time_ns):
                 self._num_between += 1
                 continue
             yield replace(frame, odometry=_whole(since) if number else None)
-            # On average, unless images were missing.
-            before_ns = due_ns if due_ns > frame.time_ns - self._period_ns else frame.time_ns
-            since, due_ns = [], before_ns + self._period_ns
+            since = []
 
     def _camera_of(self, frame: Frame) -> Camera | None:
         """The intrinsics of a frame; None where neither it nor the camera assumed has any."""
@@ -165,6 +168,21 @@ class VisualSequence:
         if frame.camera is not None:
             return frame.camera
         return self._camera.scaled(width, height) if same_aspect(self._camera, width, height) else None
+
+
+class Rate:
+    """Chooses images, so many a second on average."""
+
+    def __init__(self, hz: float) -> None:
+        self._period_ns, self._due_ns = 1e9 / hz, -np.inf
+
+    def is_due(self, time_ns: int) -> bool:
+        """Whether the next image, of a later time than those before, is one."""
+        if time_ns < self._due_ns - _TOLERANCE * self._period_ns:
+            return False
+        missed = self._due_ns <= time_ns - self._period_ns
+        self._due_ns = (time_ns if missed else self._due_ns) + self._period_ns
+        return True
 
 
 def _whole(motions: Sequence[Odometry | None]) -> Odometry | None:
