@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple, Protocol, runtime_checkable
@@ -84,6 +85,12 @@ class Odometry:
             later.carry @ self.covariance @ later.carry.T + later.covariance,
             self.duration_s + later.duration_s,
         )
+
+    def in_unit(self, metres: float) -> Odometry:
+        """The motion, whose lengths are in a unit of so many metres, in metres."""
+        to_metres = np.repeat([metres, 1.0], 3)
+        moved = Poses(self.previous_from_current.rotation, metres * self.previous_from_current.translation)
+        return Odometry(moved, to_metres[:, None] * self.covariance * to_metres, self.duration_s)
 
     def rescaled(self, scale_error: float) -> Odometry:
         """The motion less an error of its scale (`OdometryBias`); a tenth of its length at least."""
@@ -267,6 +274,16 @@ class MotionNoise:
         require_duration(duration_s)
         tangent = previous_from_current.log()
         return accumulated(tangent, np.diag(self.along(tangent, np.array(duration_s))))
+
+
+def joined(motions: Iterable[Odometry | None]) -> Odometry | None:
+    """Consecutive motions as one; None where one is unknown."""
+    whole = Odometry.still()
+    for motion in motions:
+        if motion is None:
+            return None
+        whole = whole.then(motion)
+    return whole
 
 
 class GapMotion(NamedTuple):

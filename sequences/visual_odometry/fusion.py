@@ -7,7 +7,7 @@ from collections import deque
 import numpy as np
 from jaxtyping import Float64
 
-from filtering.motion import Odometry
+from filtering.motion import Odometry, joined
 from filtering.se3 import Poses
 
 _UNIT_STD, _LEAST_UNIT, _MOST_UNIT = 1.0, 0.1, 10.0  # of the unit of visual odometry over its expected one
@@ -55,7 +55,9 @@ class OdometryFusion:
         self._recent.append((recorded, visual))
         while sum(one.duration_s for one, _ in self._recent) - self._recent[0][0].duration_s > _WINDOW_S:
             self._recent.popleft()
-        by_recorded, by_visual = (_joined([pair[i] for pair in self._recent]) for i in (0, 1))
+        by_recorded, by_visual = (joined([pair[i] for pair in self._recent]) for i in (0, 1))
+        assert by_recorded is not None
+        assert by_visual is not None
         apart = _apart(by_recorded, self._metric(by_visual, self._variance))
         if (apart > (_AGREE if self._disagree_s > 0.0 else _DISAGREE)).any():
             if self._disagree_s > _LONGEST_S and _moves(by_recorded) and _moves(by_visual):
@@ -127,13 +129,6 @@ def _apart(recorded: Odometry, seen: Odometry) -> Float64[np.ndarray, " 2"]:
     way = recorded.previous_from_current.translation
     along = (way @ difference[:3]) ** 2 / max(float(way @ spread[:3, :3] @ way), 1e-300)
     return np.array([difference @ np.linalg.solve(spread, difference), along])
-
-
-def _joined(motions: list[Odometry]) -> Odometry:
-    whole = motions[0]
-    for motion in motions[1:]:
-        whole = whole.then(motion)
-    return whole
 
 
 def _product(one: Odometry, other: Odometry) -> Odometry:

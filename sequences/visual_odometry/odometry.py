@@ -20,7 +20,10 @@ from sequences.visual_odometry.features import Grey, detect, pixel_covariance, t
 from sequences.visual_odometry.tracks import KeyFrame, Tracks, project
 from sequences.visual_odometry.two_view import initialize
 
-_USUAL_DEPTH_M = 2.0  # of a room; the unit is that in which features have this depth
+USUAL_DEPTH_M = 2.0
+"""How far away the scene is in a room, metres."""
+
+_USUAL_DEPTH = 2.0  # of features in the map, whose unit is arbitrary
 _WIDTH = 340  # pixels: larger images are scaled down
 _MOST_FEATURES, _LEAST_FEATURES = 200, 8
 _KEY_FRAMES = 6
@@ -42,6 +45,7 @@ _FOLLOWS = 0.3  # of cost and surprise at the latest image or key frame
 _NEW_MAP = 2  # key frames, which hold the unit
 _LONGEST_S, _LEAST_S = 1.0, 1 / 60  # between images; for less the prior is as wide
 _MOST_TIMES = 3.0  # of the motion before: a prediction
+_FARTHEST_M = 1e9
 _ALIKE = 0.01  # of focal lengths and of the size: intrinsics of one camera
 
 
@@ -49,10 +53,10 @@ class VisualOdometry:
     """Monocular visual odometry, a step for each image.
 
     Features are tracked from image to image; their depths and the poses of a few key frames are those that fit best
-    (bundle adjustment over a window). The length of a motion is in a unit in which the scene is some two metres away: a
-    filter finds how long it is, with `LocalizerConfig(odometry_bias=VisualOdometry.bias)`. Its covariance is wider
-    where features are few, move among themselves, or do not determine the motion, and where key frames corrected the
-    motions lately by more than was expected.
+    (bundle adjustment over a window). The length of a motion is in a unit in which the scene is about as far away as is
+    usual: a filter finds how long it is, with `LocalizerConfig(odometry_bias=VisualOdometry.bias)`. Its covariance is
+    wider where features are few, move among themselves, or do not determine the motion, and where key frames corrected
+    the motions lately by more than was expected.
 
     Source: keyframe-based monocular odometry as of Klein and Murray, "Parallel tracking and mapping for small AR
     workspaces", ISMAR 2007; inverse depths as of Civera et al., T-RO 2008.
@@ -62,13 +66,22 @@ class VisualOdometry:
     """How the motions err beside their covariances: their unit is unknown and changes slowly. For
     `LocalizerConfig.odometry_bias`."""
 
-    def __init__(self, camera: Camera) -> None:
+    def __init__(self, camera: Camera, *, usual_depth_m: float = USUAL_DEPTH_M) -> None:
         """Before the first image.
 
         Args:
             camera: Intrinsics of the undistorted images.
+            usual_depth_m: How far away the scene usually is, metres: two in a room, twenty in a square.
+
+        Raises:
+            VaporTrackError: the depth is not positive, or larger than any.
         """
+        if not 0.0 < usual_depth_m < _FARTHEST_M:
+            raise VaporTrackError(
+                f"usual_depth_m is {usual_depth_m}, expected more than 0 and less than {_FARTHEST_M:g}"
+            )
         self._set_camera(camera)
+        self._unit_m = usual_depth_m / _USUAL_DEPTH
         self._time_ns: int | None = None
         self._image: Grey | None = None
         self._begin_map()
@@ -85,7 +98,7 @@ class VisualOdometry:
         self._key_frames: tuple[KeyFrame, ...] = ()
         self._pose = Poses.identity()  # camera_from_map
         self._motion = Poses.identity()  # camera_from_previous
-        self._usual = 1.0 / _USUAL_DEPTH_M
+        self._usual = 1.0 / _USUAL_DEPTH
         self._next_id = self._next_frame = 0
         self._since_s = self._usual_s = 0.0  # since the latest image that differs, and of the latest motion
         self._has_depths, self._cost = False, _FIRST_COST
@@ -131,14 +144,16 @@ class VisualOdometry:
         self._since_s = 0.0
         if motion is None:
             self._start(grey)
-        return motion
+            return None
+        return motion.in_unit(self._unit_m)
 
     def _repeated(self, duration_s: float) -> Odometry | None:
         """The motion to the same image again: none yet, and the next image will show it."""
         if self._since_s > _LONGEST_S or self._usual_s == 0.0:
             return None
         moved = self._motion.log() * min(duration_s / self._usual_s, 1.0)
-        return Odometry(Poses.identity(), np.outer(moved, moved) + 1e-8 * np.eye(6), duration_s)
+        repeated = Odometry(Poses.identity(), np.outer(moved, moved) + 1e-8 * np.eye(6), duration_s)
+        return repeated.in_unit(self._unit_m)
 
     def _grey(self, image: np.ndarray) -> Grey:
         """The image as it is tracked: a copy, as callers may use their memory again."""
@@ -178,7 +193,7 @@ class VisualOdometry:
 
     def _aligned(self, since_s: float) -> Alignment:
         predicted = self._expected_motion() @ self._pose
-        std = np.repeat([_SPEED_UP * _USUAL_DEPTH_M, _TURN_UP], 3) * max(since_s, _LEAST_S) ** 2
+        std = np.repeat([_SPEED_UP * _USUAL_DEPTH, _TURN_UP], 3) * max(since_s, _LEAST_S) ** 2
         prior = MotionPrior(predicted, std)
         return align(
             self._tracks,
@@ -272,7 +287,7 @@ class VisualOdometry:
         self._usual = float(np.median(known.inverse_depth))
         distances = np.linalg.norm(pixels[:, None] - known.pixels[None], axis=2)
         nearest = np.argpartition(distances, _NEIGHBOURS, axis=1)[:, :_NEIGHBOURS]
-        return np.median(known.inverse_depth[nearest], axis=1) ** (1.0 - _LEAK) * (1.0 / _USUAL_DEPTH_M) ** _LEAK
+        return np.median(known.inverse_depth[nearest], axis=1) ** (1.0 - _LEAK) * (1.0 / _USUAL_DEPTH) ** _LEAK
 
     def _adjust(self) -> None:
         before = self._pose

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from filtering.motion import Odometry
+from filtering.motion import Odometry, joined
 from sequences.frame import Camera, Frame
 from sequences.images.undistortion import same_aspect
 from sequences.reading.counts import BETWEEN, ImageCounts
 from sequences.visual_odometry.fusion import OdometryFusion
-from sequences.visual_odometry.odometry import VisualOdometry
+from sequences.visual_odometry.odometry import USUAL_DEPTH_M, VisualOdometry
 
 _TRACKED_HZ = 15.0  # features are tracked in so many images a second; more would not be more exact
 _TOLERANCE = 0.1  # of the time between frames: stamps tremble
@@ -75,6 +75,7 @@ class VisualSequence:
         beside: bool = False,
         restated: Callable[[Odometry], Odometry] | None = None,
         most_hz: float = np.inf,
+        usual_depth_m: float = USUAL_DEPTH_M,
     ) -> None:
         """Around a sequence.
 
@@ -86,9 +87,10 @@ class VisualSequence:
             restated: Gives recorded odometry with its fitted noise.
             most_hz: Frames a second that are given at most, on average; the images between them only show how the
                 camera moved.
+            usual_depth_m: How far away the scene usually is, metres.
         """
         self._frames, self._camera, self.beside = frames, camera, beside
-        self._restated, self._most_hz = restated, most_hz
+        self._restated, self._most_hz, self._usual_depth_m = restated, most_hz, usual_depth_m
         self.path, self.camera, self.num_images = frames.path, frames.camera, frames.num_images
         self.image_description = frames.image_description
         recorded = frames.odometry_description or "recorded"
@@ -148,18 +150,18 @@ class VisualSequence:
             if camera is None:
                 visual = None
             else:
-                visual = visual or VisualOdometry(camera)
+                visual = visual or VisualOdometry(camera, usual_depth_m=self._usual_depth_m)
                 odometry = visual.step(frame.image, frame.time_ns, camera)
             self._num_unknown += number > 0 and odometry is None
             if fusion is not None:
-                odometry = fusion.step(_whole(recorded), odometry)
+                odometry = fusion.step(joined(recorded), odometry)
                 self._disagreed_s = fusion.disagreed_s
             recorded = []
             since.append(odometry)
             if not given.is_due(frame.time_ns):
                 self._num_between += 1
                 continue
-            yield replace(frame, odometry=_whole(since) if number else None)
+            yield replace(frame, odometry=joined(since) if number else None)
             since = []
 
     def _camera_of(self, frame: Frame) -> Camera | None:
@@ -183,13 +185,3 @@ class Rate:
         missed = self._due_ns <= time_ns - self._period_ns
         self._due_ns = (time_ns if missed else self._due_ns) + self._period_ns
         return True
-
-
-def _whole(motions: Sequence[Odometry | None]) -> Odometry | None:
-    """Consecutive motions as one; None where one is unknown."""
-    whole = Odometry.still()
-    for motion in motions:
-        if motion is None:
-            return None
-        whole = whole.then(motion)
-    return whole

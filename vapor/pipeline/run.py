@@ -18,8 +18,9 @@ from sequences.odometry_fit.result import OdometryFit
 from sequences.options import OdometryUse, SequenceOptions
 from sequences.outputs import results_folder
 from sequences.reader import SequenceReader
-from sequences.visual_odometry.odometry import VisualOdometry
+from sequences.visual_odometry.odometry import USUAL_DEPTH_M, VisualOdometry
 from sequences.visual_odometry.sequence import FrameSource, VisualSequence
+from vapor.checkpoints.checkpoint import ModelDescription
 from vapor.landmarks.localize import VerifiedPose
 from vapor.landmarks.verify import ShownLandmarks
 from vapor.observation import VaporObservationModel
@@ -103,7 +104,7 @@ def run_into(
     observation = model.observation.seen_by(reader.camera)
     calibration = observation.description.calibration
     fit = calibration.odometry if config.fitted_odometry else None
-    reader = _with_visual_odometry(reader, observation.description.camera, config, fit)
+    reader = _with_visual_odometry(reader, observation.description, config, fit)
 
     some: EvenlySpaced[SeenImage] = EvenlySpaced(MOST_IMAGES)
     verified = VerifiedImages(observation)
@@ -170,13 +171,13 @@ def _open(sequence: Path, reading: SequenceOptions, config: RunConfig) -> FrameS
 
 
 def _with_visual_odometry(
-    reader: FrameSource, trained: Camera | None, config: RunConfig, fit: OdometryFit | None
+    reader: FrameSource, model: ModelDescription, config: RunConfig, fit: OdometryFit | None
 ) -> FrameSource:
     """The sequence with odometry from its images, where that is asked for or there is no other.
 
     Args:
         reader: The sequence.
-        trained: Camera of the training images, for images without intrinsics.
+        model: Its training camera is that of images without intrinsics; its landmarks say how far away the scene is.
         config: Settings.
         fit: Errors of recorded odometry; None for those that it states.
 
@@ -185,11 +186,16 @@ def _with_visual_odometry(
     """
     if config.odometry in ("recorded", "none") or (config.odometry == "auto" and reader.has_odometry):
         return reader
-    camera = reader.camera or trained
+    camera = reader.camera or model.camera
     if camera is not None:
-        restated = None if fit is None else fit.restated
-        beside = config.odometry == "both"
-        return VisualSequence(reader, camera, beside=beside, restated=restated, most_hz=config.localize_hz)
+        return VisualSequence(
+            reader,
+            camera,
+            beside=config.odometry == "both",
+            restated=None if fit is None else fit.restated,
+            most_hz=config.localize_hz,
+            usual_depth_m=USUAL_DEPTH_M if model.landmarks is None else model.landmarks.map.depth_m,
+        )
     if config.odometry != "auto":
         raise VaporTrackError(
             f"{reader.path}: --odometry {config.odometry} without intrinsics, expected CameraInfo or an"

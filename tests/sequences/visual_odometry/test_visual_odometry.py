@@ -101,6 +101,20 @@ def test_motions_err_by_no_more_than_their_covariances_state(kind):
     assert np.mean(squared) < 6.0
 
 
+def test_the_unit_follows_from_how_far_away_the_scene_usually_is():
+    """The same images, as if of a table or of a square."""
+    images = images_of(walk("sideways", 20))
+    near, far = VisualOdometry(CAMERA), VisualOdometry(CAMERA, usual_depth_m=60.0)
+    for i, image in enumerate(images):
+        one, other = near.step(image, STEP_NS * i), far.step(image, STEP_NS * i)
+    scaled = in_metres(one, 30.0)
+    np.testing.assert_allclose(other.previous_from_current.translation, 30 * one.previous_from_current.translation)
+    np.testing.assert_allclose(other.covariance, scaled.covariance, rtol=1e-9)
+    for depth in (0.0, -1.0, np.nan, np.inf):
+        with pytest.raises(VaporTrackError, match="usual_depth_m is"):
+            VisualOdometry(CAMERA, usual_depth_m=depth)
+
+
 def test_standing_is_no_motion():
     motion = whole(followed(images_of(walk("standing", 60)))[1:])
     assert np.linalg.norm(motion.previous_from_current.translation) < 0.02
