@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 
 from filtering.motion import Odometry, joined
 from sequences.frame import Camera, Frame
+from sequences.frame_source import FrameSource
 from sequences.images.undistortion import same_aspect
 from sequences.reading.counts import BETWEEN, ImageCounts
 from sequences.visual_odometry.fusion import OdometryFusion
@@ -19,40 +19,6 @@ from sequences.visual_odometry.odometry import USUAL_DEPTH_M, VisualOdometry
 
 _TRACKED_HZ = 15.0  # features are tracked in so many images a second; more would not be more exact
 _TOLERANCE = 0.1  # of the time between frames: stamps tremble
-
-
-@runtime_checkable
-class FrameSource(Protocol):
-    """Frames in order of time: `SequenceReader`, `ImageSequence`, or one of these with visual odometry."""
-
-    path: Path
-    camera: Camera | None
-    num_images: int
-    has_odometry: bool
-    image_description: str | None
-    odometry_description: str | None
-
-    @property
-    def counts(self) -> ImageCounts:
-        """Counts of the images of the latest iteration; complete after it."""
-        ...
-
-    @property
-    def notices(self) -> list[str]:
-        """Sentences for users; complete after an iteration."""
-        ...
-
-    @property
-    def skipped(self) -> Counter[str]:
-        """How many images of the latest iteration were left out, by reason."""
-        ...
-
-    @property
-    def resolved(self) -> dict[str, Any]:
-        """The options that would read the same."""
-        ...
-
-    def __iter__(self) -> Iterator[Frame]: ...
 
 
 class VisualSequence:

@@ -23,8 +23,8 @@ from filtering.observation import Observation
 from filtering.posterior import ObservationModel
 from filtering.storeys import Storeys
 from sequences.estimates.sequence import EstimateSequence
+from sequences.frame_source import FrameSource
 from sequences.odometry_fit.result import OdometryFit
-from sequences.visual_odometry.sequence import FrameSource
 from vapor.pipeline.config import FilteringConfig
 from vapor.reporting.record import RunRecord
 from vapor.reporting.rerun_place import Place

@@ -13,13 +13,14 @@ from filtering.errors import VaporTrackError
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from sequences.frame import Camera, Frame
+from sequences.frame_source import FrameSource
 from sequences.image_sequence import ImageSequence, is_image_sequence
 from sequences.odometry_fit.result import OdometryFit
 from sequences.options import OdometryUse, SequenceOptions
 from sequences.outputs import results_folder
 from sequences.reader import SequenceReader
 from sequences.visual_odometry.odometry import USUAL_DEPTH_M, VisualOdometry
-from sequences.visual_odometry.sequence import FrameSource, VisualSequence
+from sequences.visual_odometry.sequence import VisualSequence
 from vapor.checkpoints.checkpoint import ModelDescription
 from vapor.landmarks.localize import VerifiedPose
 from vapor.landmarks.verify import ShownLandmarks
