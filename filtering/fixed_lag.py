@@ -72,6 +72,7 @@ class _Held:
     moved: list[float]
     transition: Transition | None
     searched: SearchStep
+    first_source: int
     carried_off: bool = False
 
 
@@ -103,7 +104,7 @@ class FixedLagSmoother:
         self._begin()
 
     def _begin(self) -> None:
-        self._sources = Sources.unseen(self.noise, self._config)
+        self._sources = Sources.unseen(self.noise, self._config, ())
         self._window: list[_Held] = []
         self._chain: Chain | None = None  # about which the factors are linear
         self._factors: Factors = []
@@ -112,13 +113,20 @@ class FixedLagSmoother:
 
     def update(self, step: FilterStep) -> list[LaggedPose]:
         """Take the next image of the filter; gives the poses that are now the lag behind, in order."""
+        given: list[LaggedPose] = []
+        if step.camera not in self._sources.cameras:  # its errors are another part of the state
+            given += self._take(len(self._window))
+            self._chain = None
+            new = Sources.unseen(self.noise, self._config, [step.camera])
+            self._sources = self._sources._replace(cameras={**self._sources.cameras, **new.cameras})
         self._sources, moved, to_here, searched = self._sources.after(step, self.noise, self._config)
-        camera, best = self._sources.camera, step.modes[0]
+        camera, best = self._sources.cameras[step.camera], step.modes[0]
         self._time_s += 0.0 if to_here is None else step.elapsed_s
         posterior = step.posterior.inflated(*(source.scale.factor for source in camera.sources))
-        self._window.append(_Held(self._number, self._time_s, posterior, camera.noise, moved, to_here, searched))
+        first = self._sources.first_of(step.camera)
+        held = _Held(self._number, self._time_s, posterior, camera.noise, moved, to_here, searched, first)
+        self._window.append(held)
         self._number, self._weight = self._number + 1, best.weight
-        given: list[LaggedPose] = []
         if to_here is not None and to_here.is_loose:
             given += self._take(len(self._window) - 1)
             self._chain = None
@@ -231,7 +239,12 @@ class FixedLagSmoother:
 def _places(window: Sequence[_Held], *, only_last: bool = False) -> Places:
     last = len(window) - 1
     posteriors = [_NOTHING if only_last and i < last else held.posterior for i, held in enumerate(window)]
-    return Places(posteriors, np.array([held.moved for held in window]), [held.noise for held in window])
+    return Places(
+        posteriors,
+        np.array([held.moved for held in window]),
+        [held.noise for held in window],
+        np.array([held.first_source for held in window]),
+    )
 
 
 def _extended(chain: Chain, to_here: Transition) -> Chain:

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float64, Int64
 from filtering.estimate import Estimate, Mode, ModeConfig
 from filtering.measurement_noise import PLACE, MeasurementNoise
 from filtering.motion import GapMotion, Odometry
-from filtering.observation import Observation
+from filtering.observation import ONLY_CAMERA, Observation
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from filtering.trajectory_search import squared_distances
@@ -36,6 +36,7 @@ class FilterStep:
         modes: The filter's, the heaviest two.
         odometry_scale_error: That the filter found.
         gap_motion: Where odometry was missing, as the filter took it.
+        camera: Name of the camera; the posterior is of the frame that is localized.
     """
 
     posterior: PosePosterior
@@ -47,6 +48,7 @@ class FilterStep:
     modes: tuple[Mode, ...]
     odometry_scale_error: float = 0.0
     gap_motion: GapMotion | None = None
+    camera: str = ONLY_CAMERA
 
     @staticmethod
     def of(observation: Observation, estimate: Estimate) -> FilterStep:
@@ -66,6 +68,7 @@ class FilterStep:
             tuple(modes),
             estimate.odometry_scale_error,
             estimate.gap_motion,
+            observation.views[0].camera if observation.views else ONLY_CAMERA,
         )
 
 

@@ -85,7 +85,9 @@ class KalmanLocalizer:
         return self.advance(Observation.of_posterior(posterior, odom, elapsed_s))
 
     def advance(self, observation: Observation) -> Mode:
-        """Follow one image of the one camera that is localized; `update` with its arguments in one.
+        """Follow one image; `update` with its arguments in one.
+
+        Of several cameras it has the one that is localized: images of others start it, and do not correct it.
 
         Raises:
             VaporTrackError: as `update`, there are other views, or it has a time: late images are not fused.
@@ -93,9 +95,11 @@ class KalmanLocalizer:
         if observation.time_ns is not None:
             raise VaporTrackError(f"time_ns is {observation.time_ns}, expected None: this baseline keeps no history")
         views, odom, elapsed_s = observation.views, observation.odometry, observation.elapsed_s
-        if len(views) != 1 or not views[0].reference_from_camera.is_identity:
-            raise VaporTrackError(f"{len(views)} views, expected one, without extrinsics: this baseline has one camera")
-        posterior = views[0].posterior
+        if len(views) != 1:
+            raise VaporTrackError(f"{len(views)} views, expected one: this baseline has one camera")
+        posterior, is_other = observation.posterior, not views[0].reference_from_camera.is_identity
+        if is_other and self._pose is not None:
+            posterior = posterior.without_places()
         if odom is not None:
             require_odometry(odom)
         if self._pose is None and not posterior.weights.any():
@@ -104,6 +108,7 @@ class KalmanLocalizer:
             self._provisional = True
         if self._pose is None or (self._provisional and not posterior.is_uninformative):
             self._start(posterior, None)
+            self._provisional |= is_other
         else:
             self._predict(self._pose, odom, elapsed_s)
             if not posterior.is_uninformative:

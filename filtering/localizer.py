@@ -17,7 +17,7 @@ from filtering.history import History, fuse
 from filtering.hypotheses import without_correlation
 from filtering.measurement_noise import MeasurementNoise
 from filtering.motion import Odometry
-from filtering.observation import Observation, View
+from filtering.observation import ONLY_CAMERA, Observation, View
 from filtering.posterior import ObservationModel, PosePosterior
 from filtering.se3 import Poses
 from filtering.step import describe, hypotheses_of, initialize, step
@@ -42,7 +42,7 @@ class ParticleLocalizer:
         self.model = model
         self.config = config or LocalizerConfig()
         self._model_rng, filter_rng = rng.spawn(2)
-        self._last_image: np.ndarray | None = None
+        self._last_images: dict[str, np.ndarray] = {}  # by camera
         self.belief, self._history = Belief(filter_rng), History()
 
     def step(
@@ -64,30 +64,31 @@ class ParticleLocalizer:
         """
         posterior, model_rng = self._observed(image)
         estimate = self.update(posterior, odom, elapsed_s=elapsed_s, time_ns=time_ns)
-        self._model_rng, self._last_image = model_rng, np.array(image)
+        self._model_rng, self._last_images[ONLY_CAMERA] = model_rng, np.array(image)
         return estimate
 
-    def observe(self, image: np.ndarray) -> PosePosterior:
+    def observe(self, image: np.ndarray, *, camera: str = ONLY_CAMERA) -> PosePosterior:
         """The posterior of one image (H, W, 3), uint8 RGB: the first half of `step`, one call of the model.
 
-        An image that equals the one before, pixel by pixel, comes from a camera that froze, and is uninformative: no
-        two exposures are equal. Its score stays: a black image is out of distribution however often it comes. Only
+        An image that equals the one before it of its camera, pixel by pixel, comes from a camera that froze, and is
+        uninformative: no two exposures are equal. Its score stays: a black image is out of distribution however often it comes. Only
         uint8 images are checked for repeats.
 
         Raises:
             VaporTrackError: there is no model, or it refuses the image.
         """
-        posterior, self._model_rng = self._observed(image)
-        self._last_image = np.array(image)
+        posterior, self._model_rng = self._observed(image, camera)
+        self._last_images[camera] = np.array(image)
         return posterior
 
-    def _observed(self, image: np.ndarray) -> tuple[PosePosterior, np.random.Generator]:
+    def _observed(self, image: np.ndarray, camera: str = ONLY_CAMERA) -> tuple[PosePosterior, np.random.Generator]:
         """The posterior of an image, and the model's source of randomness after it."""
         if self.model is None:
             raise VaporTrackError("this localizer has no observation model, expected posteriors through `update`")
         rng = copy.deepcopy(self._model_rng)
         posterior = self.model.observe(image, rng=rng)
-        frozen = image.dtype == np.uint8 and self._last_image is not None and np.array_equal(self._last_image, image)
+        last = self._last_images.get(camera)
+        frozen = image.dtype == np.uint8 and last is not None and np.array_equal(last, image)
         return posterior.without_places() if frozen else posterior, rng
 
     def update(
@@ -155,7 +156,7 @@ class ParticleLocalizer:
 
     def forget(self) -> None:
         """Forget where the camera is: the next informative image is a first one, of any time."""
-        self.belief, self._last_image, self._history = self.belief.forgotten(), None, History()
+        self.belief, self._last_images, self._history = self.belief.forgotten(), {}, History()
 
     def start_at(
         self,
@@ -185,5 +186,5 @@ class ParticleLocalizer:
         # The error of the stated pose is not correlated with those of the images.
         apart = replace(hypotheses, covariance=without_correlation(hypotheses.covariance, 0))
         belief, estimate = describe(replace(begun, hypotheses=apart, unassigned=0.0), [], 0.0, self.config)
-        self.belief, self._last_image, self._history = belief, None, History.beginning_at(time_ns)
+        self.belief, self._last_images, self._history = belief, {}, History.beginning_at(time_ns)
         return estimate

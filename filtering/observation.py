@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -11,7 +12,8 @@ from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 
-_ONLY_CAMERA = "camera"
+ONLY_CAMERA = "camera"
+"""Name of a camera beside which there is no other."""
 _MOST_NS = 1 << 63
 
 
@@ -71,10 +73,17 @@ class Observation:
 
     @staticmethod
     def of_posterior(
-        posterior: PosePosterior, odometry: Odometry | None, elapsed_s: float = 1.0, time_ns: int | None = None
+        posterior: PosePosterior,
+        odometry: Odometry | None,
+        elapsed_s: float = 1.0,
+        time_ns: int | None = None,
+        *,
+        reference_from_camera: Poses | None = None,
+        camera: str = ONLY_CAMERA,
     ) -> Observation:
-        """One posterior, of the camera that is localized."""
-        return Observation((View(posterior, Poses.identity(), _ONLY_CAMERA),), odometry, elapsed_s, time_ns)
+        """One posterior, of the camera that is localized, or of another one that is fixed to it."""
+        view = View(posterior, reference_from_camera or Poses.identity(), camera)
+        return Observation((view,), odometry, elapsed_s, time_ns)
 
     @property
     def ranked_views(self) -> tuple[View, ...]:
@@ -83,8 +92,12 @@ class Observation:
 
     @property
     def posterior(self) -> PosePosterior:
-        """Of the first view, as its camera sees it; uninformative without any."""
-        return self.views[0].posterior if self.views else PosePosterior.uninformative()
+        """What the first view says of the frame that is localized; uninformative without any."""
+        return self._of_first if self.views else PosePosterior.uninformative()
+
+    @cached_property
+    def _of_first(self) -> PosePosterior:
+        return self.views[0].posterior.seen_from(self.views[0].reference_from_camera)
 
 
 def _require_time(time_ns: object) -> None:

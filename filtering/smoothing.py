@@ -6,13 +6,13 @@ in them the camera was, by the filter's model of motion, measurements and correl
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from itertools import pairwise, takewhile
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, Int64
 
 from filtering.cameras import CameraMemory
 from filtering.chain_solver import solve
@@ -69,6 +69,7 @@ class Prepared:
         posteriors: Of the images, with the noise scaled as the whole run has shown.
         noise: Of each image, likewise.
         moved: Normalized distance since the image before, by source, (n, s).
+        first_source: Of the camera of each image, (n,).
         transitions: Of the state, n − 1.
     """
 
@@ -76,6 +77,7 @@ class Prepared:
     posteriors: tuple[PosePosterior, ...]
     noise: tuple[MeasurementNoise, ...]
     moved: Float64[np.ndarray, "n s"]
+    first_source: Int64[np.ndarray, " n"]
     transitions: tuple[Transition, ...]
 
 
@@ -128,21 +130,28 @@ def _joined(parts: Sequence[SmoothedTrajectory]) -> SmoothedTrajectory:
 
 
 class Sources(NamedTuple):
-    """The sources of places of a camera, along its images.
+    """The sources of places of all cameras, along their images.
 
     Attributes:
-        camera: Its memory.
+        cameras: Their memories by name. Those of the n-th camera follow those of the cameras before it.
         in_gap: Whether odometry was missing before the latest image; None before the first image.
     """
 
-    camera: CameraMemory
+    cameras: dict[str, CameraMemory]
     in_gap: bool | None = None
 
     @staticmethod
-    def unseen(noise: MeasurementNoise, config: SmoothingConfig) -> Sources:
-        """Those of a camera before its first image, with this noise."""
+    def unseen(noise: MeasurementNoise, config: SmoothingConfig, names: Iterable[str]) -> Sources:
+        """Those of cameras before their first images, with this noise."""
         view = Observation.of_posterior(PosePosterior.uninformative(noise), None).views[0]
-        return Sources(CameraMemory.first_seen(view, 0, unknown=1.0, adapts=config.adapt_errors))
+        return Sources(
+            {name: CameraMemory.first_seen(view, 0, unknown=1.0, adapts=config.adapt_errors) for name in names}
+        )
+
+    def first_of(self, name: str) -> int:
+        """The number of a camera's first source."""
+        before = takewhile(lambda other: other != name, self.cameras)
+        return sum(len(self.cameras[other].sources) for other in before)
 
     def after(
         self, step: FilterStep, noise: MeasurementNoise, config: SmoothingConfig
@@ -154,54 +163,62 @@ class Sources(NamedTuple):
             noise: Noise of the images.
             config: Settings.
         """
-        camera, in_gap, motion = self.camera, self.in_gap, step.odometry
-        moved, to_here = [0.0] * len(camera.sources), None
+        in_gap, motion, to_here = self.in_gap, step.odometry, None
+        cameras, moved = self.cameras, [0.0] * sum(len(camera.sources) for camera in self.cameras.values())
         if in_gap is None:
             motion = None
         elif motion is not None:
-            camera, moved = camera.predict(motion.rescaled(step.odometry_scale_error))
+            rescaled = motion.rescaled(step.odometry_scale_error)
+            cameras, moved = _each({name: camera.predict(rescaled) for name, camera in cameras.items()})
             to_here = transition(motion, config.odometry_bias, moved, noise, new_drift=in_gap)
         else:
-            camera, moved = camera.across_gap(step.gap_motion or GapMotion(Poses.identity()))
+            gap = step.gap_motion or GapMotion(Poses.identity())
+            cameras, moved = _each({name: camera.across_gap(gap) for name, camera in cameras.items()})
             still = Odometry.still(step.elapsed_s)
             # Motion without odometry says nothing of its scale.
             velocity = replace(config.gap.velocity, scale=config.odometry_bias.scale)
             to_here = transition(still, velocity, moved, noise, new_drift=not in_gap)
         power = 0.0
         if not step.posterior.is_uninformative:
-            camera, _, power = camera.observe(step.posterior)
+            camera, _, power = cameras[step.camera].observe(step.posterior)
+            cameras = {**cameras, step.camera: camera}
         pose = None if motion is None else motion.previous_from_current
         searched = SearchStep(
             step.posterior, pose, step.elapsed_s, power, config.outlier_places, step.hypotheses, step.weights
         )
-        return Sources(camera, in_gap is not None and motion is None), moved, to_here, searched
+        return Sources(cameras, in_gap is not None and motion is None), moved, to_here, searched
+
+
+def _each(after: Mapping[str, tuple[CameraMemory, list[float]]]) -> tuple[dict[str, CameraMemory], list[float]]:
+    cameras = {name: camera for name, (camera, _) in after.items()}
+    return cameras, [distance for _, moved in after.values() for distance in moved]
 
 
 def _prepare(steps: Sequence[FilterStep], noise: MeasurementNoise, config: SmoothingConfig) -> Prepared:
-    sources = Sources.unseen(noise, config)
+    sources = Sources.unseen(noise, config, dict.fromkeys(step.camera for step in steps))
     cameras, search, distances, transitions = [], [], [], []
     for step in steps:
         sources, moved, to_here, searched = sources.after(step, noise, config)
-        cameras.append(sources.camera)
+        cameras.append(sources.cameras[step.camera])
         search.append(searched)
         distances.append(moved)
         if to_here is not None:
             transitions.append(to_here)
     # The scale of the errors is that of the whole run.
-    scales = [source.scale for source in sources.camera.sources]
-    factors = [scale.factor for scale in scales]
+    scales = {name: [source.scale for source in camera.sources] for name, camera in sources.cameras.items()}
     noises = [
         replace(
             each,
             sources=tuple(
                 replace(source, scale=replace(source.scale, total=last.total, count=last.count))
-                for source, last in zip(each.sources, scales, strict=True)
+                for source, last in zip(each.sources, scales[step.camera], strict=True)
             ),
         ).noise
-        for each in cameras
+        for step, each in zip(steps, cameras, strict=True)
     ]
-    posteriors = tuple(step.posterior.inflated(*factors) for step in steps)
-    return Prepared(tuple(search), posteriors, tuple(noises), np.array(distances), tuple(transitions))
+    posteriors = tuple(step.posterior.inflated(*(scale.factor for scale in scales[step.camera])) for step in steps)
+    first = np.array([sources.first_of(step.camera) for step in steps], np.int64)
+    return Prepared(tuple(search), posteriors, tuple(noises), np.array(distances), first, tuple(transitions))
 
 
 def _path(prepared: Prepared, part: slice, end: Mode, noise: MeasurementNoise, config: SmoothingConfig) -> Path:
@@ -216,7 +233,7 @@ def _trajectory(
     poses, covariances = [], []
     for begin, end in pairwise([part.start, *loose, part.stop]):
         own = slice(begin, end)
-        places = Places(prepared.posteriors[own], prepared.moved[own], prepared.noise[own])
+        places = Places(prepared.posteriors[own], prepared.moved[own], prepared.noise[own], prepared.first_source[own])
         here = start[begin - part.start : end - part.start]
         prior = unknown_prior(here[0], noise, config.odometry_bias, prepared.moved.shape[1])
         chain, covariance = solve(here, prior, prepared.transitions[begin : end - 1], places, noise)

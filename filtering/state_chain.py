@@ -150,6 +150,7 @@ class Places:
         posteriors: Of the images.
         moved: Normalized distance that the camera moved since the image before, by source, (n, s).
         noise: Of each image, n; for its constant errors.
+        first_source: Number of the first source of the camera of each image, (n,).
     """
 
     def __init__(
@@ -157,6 +158,7 @@ class Places:
         posteriors: Sequence[PosePosterior],
         moved: Float64[np.ndarray, "n s"],
         noise: Sequence[MeasurementNoise],
+        first_source: Int64[np.ndarray, " n"],
     ) -> None:
         images, sources, parts, constants = [], [], [], []
         self._constant = correlated_error(moved.shape[1])
@@ -166,7 +168,7 @@ class Places:
             for source, own in enumerate(posterior.sources):
                 if len(own):
                     images.append(np.full(len(own), i))
-                    sources.append(np.full(len(own), source))
+                    sources.append(np.full(len(own), first_source[i] + source))
                     of_source = posterior.noise_of(source)
                     constants.append(noise[i].constant_covariance(posterior.covariances[own]))
                     numbers = [of_source.degrees_of_freedom, of_source.correlated_fraction]

@@ -69,11 +69,13 @@ class Frame:
     Attributes:
         time_ns: Header stamp of the image, integer nanoseconds.
         image: RGB, uint8, undistorted; empty where there is none.
-        odometry: Motion of the camera since the frame before it in time that was yielded; None for the first frame,
-            and where no odometry covers it.
-        world_from_camera: True pose, one pose; None where unknown.
+        odometry: Motion of the camera that is localized since the frame before it in time that was yielded; None for
+            the first frame, and where no odometry covers it.
+        world_from_camera: True pose of the camera that took the image, one pose; None where unknown.
         camera: Intrinsics of that image, a pinhole camera's; None where unknown.
         sequence: Which sequence of its data set it is from, counted from 0, where a data set has several.
+        camera_name: Which of several cameras took the image; '' where there is one.
+        reference_from_camera: Pose of that camera in the one that is localized, one pose; None where it is that one.
     """
 
     time_ns: int
@@ -82,6 +84,15 @@ class Frame:
     world_from_camera: Poses | None = None
     camera: Camera | None = None
     sequence: int = 0
+    camera_name: str = ""
+    reference_from_camera: Poses | None = None
+
+    @property
+    def world_from_reference(self) -> Poses | None:
+        """True pose of the camera that is localized, one pose; None where unknown."""
+        if self.world_from_camera is None or self.reference_from_camera is None:
+            return self.world_from_camera
+        return self.world_from_camera @ self.reference_from_camera.inverse()
 
 
 @dataclass(frozen=True)

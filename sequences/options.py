@@ -31,7 +31,8 @@ class ReadingOptions:
 
     image_topic: str | None = None
     """Topic of the images: sensor_msgs/Image or CompressedImage, foxglove.RawImage or CompressedImage; or of video:
-    foxglove.CompressedVideo, ffmpeg_image_transport's FFMPEGPacket."""
+    foxglove.CompressedVideo, ffmpeg_image_transport's FFMPEGPacket. Of several cameras, separated by commas, the first
+    is localized. Default: all cameras whose frames tf connects, in the order of their names."""
     odometry_topic: str | None = None
     """Topic of the odometry, nav_msgs/Odometry."""
     odometry_frame: str | None = None
@@ -68,8 +69,17 @@ class ReadingOptions:
                 pose_of_numbers(self.base_from_camera)
             except VaporTrackError as error:
                 raise SequenceError(f"--base-from-camera: {error}; expected tx ty tz qx qy qz qw") from error
+        if len(set(self.image_topics)) < len(self.image_topics) or "" in self.image_topics:
+            raise SequenceError(f"--image-topic {self.image_topic}, expected names separated by commas, each once")
+        if len(self.image_topics) > 1 and self.camera_info_topic:
+            raise SequenceError("--camera-info-topic beside several cameras, expected each one's beside its images")
         if self.odometry_topic is not None and self.odometry_frame is not None:
             raise SequenceError("--odometry-topic and --odometry-frame are both given, expected one of them")
+
+    @property
+    def image_topics(self) -> tuple[str, ...]:
+        """Names of the cameras' topics; none where none is named."""
+        return () if self.image_topic is None else tuple(name.strip() for name in self.image_topic.split(","))
 
 
 @dataclass(frozen=True)

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
-from sequences.frame import Frame
+from sequences.frame import Camera, Frame
 from sequences.options import OdometryUse, SequenceOptions, TruePoseUse
 from sequences.reading.camera_info import ImageCamera
 from sequences.reading.counts import ImageCounts
 from sequences.reading.frame_pairing import FramePairing, MotionStreams
 from sequences.reading.motion import odometry_apart, true_poses_apart
 from sequences.reading.roles import Roles
-from sequences.reading.timeline import LoggedSegment, Timeline
+from sequences.reading.timeline import Key, LoggedSegment, Timeline
 from sequences.recordings.bag import METADATA_NAME, Bag
 from sequences.trajectories.interpolation import MAX_ODOMETRY_GAP_S
 
@@ -29,8 +30,9 @@ class SequenceReader:
         counts: Counts of the images of the latest iteration; complete after it.
         across_jumps: Frames of the latest iteration without a true pose because it jumps about them.
         notices: Sentences for users on the camera, the odometry and the true poses; complete after an iteration.
-        camera: Intrinsics of the undistorted images, as the file states their size; None where it has none.
-        base_from_camera: Extrinsics, one pose; None where odometry is not read.
+        camera: Intrinsics of the undistorted images, as the file states their size, of the camera that is localized;
+            None where it has none.
+        base_from_camera: Extrinsics of the localized one, one pose; None where odometry is not read.
         has_odometry: Whether it is read.
         num_images: Images in the whole file, for progress.
         image_description: Origin of the images by the file's metadata, as `synthetic`; None where it states none.
@@ -44,6 +46,8 @@ class SequenceReader:
         *,
         odometry: OdometryUse = "required",
         true_poses: TruePoseUse = "optional",
+        usual_cameras: Sequence[str] = (),
+        only_camera: str | None = None,
     ) -> None:
         """Open a sequence, find its topics, extrinsics and true poses.
 
@@ -56,6 +60,8 @@ class SequenceReader:
                 poses. "unread" does not look for it.
             true_poses: "required" fails where none are found, with the candidates, and where none is of the time of an
                 image. "optional" does without.
+            usual_cameras: Topics of cameras that are read where there are several and none is named.
+            only_camera: One of several cameras, whose images alone are read; None for all of them.
 
         Raises:
             SequenceError: the file is damaged or lacks images, a topic is missing or ambiguous, tf does not lead to the
@@ -65,14 +71,16 @@ class SequenceReader:
         self.across_jumps = 0
         self._options = options or SequenceOptions()
         self._bag = Bag(self.path, stamps=self._options.stamps, tf_topic=self._options.tf_topic)
-        self._roles = Roles(self._bag, self._options, odometry, true_poses)
-        self.num_images = self._roles.image.num_messages
+        self._roles = Roles(self._bag, self._options, odometry, true_poses, usual_cameras=usual_cameras)
+        self._lenses = {
+            camera.name: ImageCamera(self._bag, camera.info, camera.image, undistort=self._options.undistort)
+            for camera in self._roles.cameras
+            if only_camera in (None, camera.name)
+        }
+        self.num_images = sum(self._bag.topics[name].num_messages for name in self._lenses)
         self.counts = ImageCounts(self.num_images)
         self._skipped_messages: Counter[str] = Counter()
-        self._image_camera = ImageCamera(
-            self._bag, self._roles.camera_info, self._roles.image, undistort=self._options.undistort
-        )
-        self.camera = self._image_camera.camera
+        self.camera = next(iter(self._lenses.values())).camera
         extrinsics = self._roles.extrinsics
         self.base_from_camera: Poses | None = extrinsics.body_from_camera if extrinsics is not None else None
         self.has_odometry = self._roles.open_odometry() is not None
@@ -81,11 +89,25 @@ class SequenceReader:
         self.odometry_description = said_of_itself.get("odometry")
         self._timeline: Timeline | None = None
         self._pairing: FramePairing | None = None  # of the latest iteration
-        self._found_notices = self._bag.account_for(self._roles.image.name)
+        accounts = chain.from_iterable(self._bag.account_for(name) for name in self._lenses)
+        self._found_notices = [*self._roles.notices, *dict.fromkeys(accounts)]
         self._found_notices += self._roles.truth.notices if self._roles.truth is not None else []
         if odometry == "auto" and self._roles.no_odometry:
             self._found_notices.append(self._roles.no_odometry.removeprefix(f"{self.path}: "))
         self.notices = list(self._found_notices)
+
+    @property
+    def camera_names(self) -> tuple[str, ...]:
+        """Names of the cameras that are read, that of the localized one first."""
+        return tuple(self._lenses)
+
+    def cameras(self) -> Counter[Camera]:
+        """How many images are of which camera, undistorted, whether used or not; of known cameras."""
+        found = Counter[Camera]()
+        for name, lens in self._lenses.items():
+            if lens.camera is not None:
+                found[lens.camera] += self._bag.topics[name].num_messages
+        return found
 
     @property
     def skipped(self) -> Counter[str]:
@@ -96,10 +118,12 @@ class SequenceReader:
     def resolved(self) -> dict[str, Any]:
         """The options that would read the same: topics and extrinsics; '' and None for none."""
         r = self._roles
-        topics = {"image": r.image, "odometry": r.odometry, "camera_info": r.camera_info}
         extrinsics, poses = self.base_from_camera, self._options.poses
+        info = r.cameras[0].info if len(r.cameras) == 1 else None
         return {
-            **{f"{role}_topic": topic.name if topic else "" for role, topic in topics.items()},
+            "image_topic": ",".join(self._lenses),
+            "odometry_topic": r.odometry.name if r.odometry is not None else "",
+            "camera_info_topic": info.name if info is not None else None if len(r.cameras) > 1 else "",
             "odometry_frame": None,
             "ground_truth_topic": None if r.truth is not None else "",
             "poses": poses.name if poses else None,
@@ -123,19 +147,19 @@ class SequenceReader:
                 are required and none is of the time of an image.
         """
         roles, timeline = self._roles, self._survey()
-        images = timeline.streams.get(("", roles.image.name))
+        images = [("", name) for name in self._lenses]
         pairing = FramePairing(
             roles,
-            self._image_camera,
+            self._lenses,
             self.num_images,
-            begin_ns=0 if images is None else images.begin_ns,
-            lateness_ns=0 if images is None else images.lateness_ns,
+            begin_ns=min((timeline.streams[key].begin_ns for key in images if key in timeline.streams), default=0),
+            lateness_ns=timeline.lateness_ns(self._lenses),
         )
         motion, self._pairing = pairing.motion, pairing
         self.counts, self._skipped_messages = pairing.skipped.counts, pairing.skipped.messages
         self.across_jumps, self.notices = 0, [*self._found_notices, *timeline.notices]
-        streams = MotionStreams(timeline, [topic for topic in roles.watched if topic != roles.image.name], pairing)
-        for dated in timeline.messages(roles.image.name, until=lambda _: pairing.is_over):
+        streams = MotionStreams(timeline, [name for name in self._watched if name not in self._lenses], pairing)
+        for dated in timeline.messages(self._lenses, until=lambda _: pairing.is_over):
             pairing.take_dated(dated)
             for frame in pairing.ready_frames():
                 self.across_jumps = motion.across_jumps
@@ -152,18 +176,25 @@ class SequenceReader:
         if self._timeline is None:
             roles, options = self._roles, self._options
             lasts_s = None if options.duration_s is None else options.start_s + options.duration_s
-            segment = None if lasts_s is None else LoggedSegment(roles.image.name, lasts_s)
-            timeline = Timeline(self._bag, roles.watched, segment=segment)
-            timeline.require_differing(("", roles.image.name), "images")
+            segment = None if lasts_s is None else LoggedSegment(self._lenses, lasts_s)
+            timeline = Timeline(self._bag, self._watched, segment=segment)
+            for name in self._lenses:
+                timeline.require_differing(("", name), "images")
             for key in roles.odometry_keys if roles.odometry_required else ():
                 timeline.require_differing(key, "messages of odometry")
             self._timeline = timeline
         return self._timeline
 
+    @property
+    def _watched(self) -> dict[str, set[Key] | None]:
+        """Topics that are read, see `Roles.watched`."""
+        unread = {camera.name for camera in self._roles.cameras} - self._lenses.keys()
+        return {name: links for name, links in self._roles.watched.items() if name not in unread}
+
     def _judge(self, pairing: FramePairing, timeline: Timeline) -> None:
         """Add the notices of the reading. Raises SequenceError where nothing is usable."""
         roles, motion = self._roles, pairing.motion
-        images, odometry = timeline.span_ns([("", roles.image.name)]), timeline.span_ns(roles.odometry_keys)
+        images, odometry = timeline.span_ns([("", next(iter(self._lenses)))]), timeline.span_ns(roles.odometry_keys)
         spacing_s = timeline.spacing_s(roles.odometry_keys)
         notices = [notice for notice in [odometry_apart(images, odometry)] if notice is not None]
         if spacing_s > MAX_ODOMETRY_GAP_S:
@@ -182,7 +213,7 @@ class SequenceReader:
             found = ", ".join(f"{count} × {reason}" for reason, count in self.skipped.items()) or "nothing was skipped"
             problem = next(iter(pairing.skipped.problems.values()), "")
             raise SequenceError(
-                f"{self.path}: no image left of {self.num_images} on {roles.image.name}: {found}"
+                f"{self.path}: no image left of {self.num_images} on {', '.join(self._lenses)}: {found}"
                 f"{problem}; {'; '.join([*notices, 'expected at least one that can be used'])}"
             )
         self.notices += notices
@@ -192,7 +223,12 @@ class SequenceReader:
             if roles.truth_required:
                 raise SequenceError(f"{self.path}: {apart}")
             self.notices.append(apart)
-        self.notices += [*self._image_camera.notices, *motion.jumps()]
+        for name, lens in self._lenses.items():
+            about = f"{name}: " if len(self._lenses) > 1 else ""
+            self.notices += [f"{about}{notice}" for notice in lens.notices]
+            if not pairing.used[name]:
+                self.notices.append(f"{name}: none of its images could be used, so that camera is left out")
+        self.notices += motion.jumps()
 
     def stop(self) -> None:
         """End the latest iteration: resumed, it only counts the rest."""

@@ -27,11 +27,13 @@ class PosedFrames(Iterator[Frame]):
     Attributes:
         skipped: Images and poses of the data that were left out, by reason; complete once all frames were yielded.
         notices: Remarks on the true poses, likewise.
+        camera_names: Names of the cameras of a recording, once its first frame was yielded; empty of a data set.
     """
 
     def __init__(self, path: Path, frames: slice, options: SequenceOptions | None, odometry: OdometryUse) -> None:
         self.skipped: Counter[str] = Counter()
         self.notices: list[str] = []
+        self.camera_names: tuple[str, ...] = ()
         self._path, self._slice, self._options = path, frames, options
         self._odometry: OdometryUse = odometry
         self._source: SequenceReader | PosedImages | None = None
@@ -53,14 +55,26 @@ class PosedFrames(Iterator[Frame]):
 
     def _recorded(self) -> Iterator[Frame]:
         """Frames of a recording; without odometry where the frame before was left out."""
+        reader = self._open()
+        assert isinstance(reader, SequenceReader)
+        self.camera_names = reader.camera_names
+        if len(self.camera_names) == 1:
+            yield from self._of_camera(reader)
+            return
+        for name in self.camera_names:  # the frames of each together, as a camera of its own
+            for frame in self._of_camera(self._reader(only_camera=name)):
+                mount, odometry = frame.reference_from_camera, frame.odometry
+                if mount is not None and odometry is not None:
+                    odometry = odometry.of_another_frame(mount)
+                yield replace(frame, odometry=odometry, reference_from_camera=None)
+
+    def _of_camera(self, reader: SequenceReader) -> Iterator[Frame]:
         begin, end, step = self._slice.start, self._slice.stop, self._slice.step
         if any(bound is not None and bound < 0 for bound in (begin, end, step)):
             raise SequenceError(
                 f"{self._path}: frames {begin}:{end}:{step} count from the end, which a stream does not know; expected"
                 " numbers from 0 on"
             )
-        reader = self._open()
-        assert isinstance(reader, SequenceReader)
         posed = _posed(reader, self.skipped)
         for number, frame in enumerate(islice(posed, begin, end, step)):
             follows = number > 0 and step in (None, 1)
@@ -70,12 +84,13 @@ class PosedFrames(Iterator[Frame]):
             pass
         self.skipped.update(reader.skipped)
         if reader.across_jumps:
-            self.skipped["true pose jumps"] = reader.across_jumps
+            self.skipped["true pose jumps"] += reader.across_jumps
             self.skipped["no true pose"] -= reader.across_jumps
             if not self.skipped["no true pose"]:
                 del self.skipped["no true pose"]
         few = [reader.counts.warning] if reader.counts.warning else []
-        self.notices += [f"{self._path}: {notice}" for notice in [*reader.notices, *few]]
+        said = [f"{self._path}: {notice}" for notice in [*reader.notices, *few]]
+        self.notices += [notice for notice in said if notice not in self.notices]
 
     def _listed(self) -> Iterator[Frame]:
         """Frames of images on disk; those that cannot be decoded are left out, unless it is most of them."""
@@ -99,10 +114,15 @@ class PosedFrames(Iterator[Frame]):
 
     def _open(self) -> SequenceReader | PosedImages:
         if self._source is None and is_recording(self._path):
-            self._source = SequenceReader(self._path, self._options, odometry=self._odometry, true_poses="required")
+            self._source = self._reader()
         elif self._source is None:
             self._source = list_images(self._path)
         return self._source
+
+    def _reader(self, only_camera: str | None = None) -> SequenceReader:
+        return SequenceReader(
+            self._path, self._options, odometry=self._odometry, true_poses="required", only_camera=only_camera
+        )
 
     def cameras(self) -> Counter[Camera]:
         """How many images are of which camera, undistorted; of a recording all of its images, whether used or not.
@@ -111,7 +131,7 @@ class PosedFrames(Iterator[Frame]):
         """
         source = self._open()
         if isinstance(source, SequenceReader):
-            return Counter({source.camera: source.num_images} if source.camera is not None else {})
+            return source.cameras()
         undistort = self._options is None or self._options.undistort
         known = [_used(camera, undistort) for camera in source[self._slice].cameras]
         return Counter(pinhole_of(camera) for camera in known if camera is not None)

@@ -6,7 +6,7 @@ import math
 import queue
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import fields, replace
 from itertools import count
 from pathlib import Path
@@ -15,13 +15,14 @@ from typing import Any
 from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.errors import NotFoundError, SequenceError
-from sequences.frame import Frame
+from sequences.frame import Camera, Frame
 from sequences.live.transport import Offer, Transport
 from sequences.options import ReadingOptions, SequenceOptions
 from sequences.reading.camera_info import ImageCamera
 from sequences.reading.counts import ImageCounts
 from sequences.reading.frame_pairing import FramePairing
-from sequences.reading.roles import IMAGE_TYPES, Roles
+from sequences.reading.rig import IMAGE_TYPES, find_cameras
+from sequences.reading.roles import Roles
 from sequences.reading.timeline import ClockOfStream, StampKind
 from sequences.recordings.messages import stamp_ns
 from sequences.recordings.source import RawMessage, Topic, choose, decode, first, namespaced_tf, stands_for
@@ -135,12 +136,21 @@ class LiveReader:
     Attributes:
         streamed: Names of the topics whose messages it takes.
         readings: Number of readings so far.
+        lenses: Of the cameras by name, that of the localized one first.
     """
 
-    def __init__(self, heard: TopicBuffer, options: ReadingOptions, *, late_window_s: float = 0.0) -> None:
+    def __init__(
+        self,
+        heard: TopicBuffer,
+        options: ReadingOptions,
+        *,
+        late_window_s: float = 0.0,
+        usual_cameras: Sequence[str] = (),
+    ) -> None:
         """Find topics, intrinsics and extrinsics in the messages so far.
 
-        An image that is older than the latest frame by at most `late_window_s` still becomes a frame.
+        An image that is older than the latest frame by at most `late_window_s` still becomes a frame. Where several
+        topics have images and none is named, those of `usual_cameras` are read.
 
         Raises:
             NotFoundError: something is not there yet.
@@ -150,14 +160,21 @@ class LiveReader:
         self._late_ns = round(late_window_s * 1e9)
         self.heard = heard
         shared = {field.name: getattr(options, field.name) for field in fields(ReadingOptions)}
-        image = choose(heard, "image", IMAGE_TYPES, options.image_topic, required=True)
-        assert image is not None
+        usual = tuple(name for name in usual_cameras if name in heard.topics)
+        if not options.image_topics and not usual:  # all would be heard to choose among them
+            choose(heard, "image", IMAGE_TYPES, None, required=True)
         for topic in heard.topics.values():
             if topic.read_as in _HEARD_EARLY:
                 heard.hear(topic.name)
-        first(heard, image)  # whose header names the frame of the camera
-        self.roles = Roles(heard, SequenceOptions(**shared, ground_truth_topic=""), "required", "optional")
-        self.camera = ImageCamera(heard, self.roles.camera_info, self.roles.image, undistort=options.undistort)
+        reading = SequenceOptions(**shared, ground_truth_topic="")
+        cameras, _ = find_cameras(heard, reading, usual)
+        for camera in cameras:
+            first(heard, camera.image)  # whose header names the frame of the camera
+        self.roles = Roles(heard, reading, "required", "optional", usual_cameras=usual)
+        self.lenses = {
+            camera.name: ImageCamera(heard, camera.info, camera.image, undistort=options.undistort)
+            for camera in self.roles.cameras
+        }
         self.streamed = list(self.roles.watched)
         for name in self.streamed:
             heard.hear(name)
@@ -173,12 +190,17 @@ class LiveReader:
         self.readings += 1
         self._fed: set[str] = set()  # topics that this reading has messages of
         return FramePairing(
-            self.roles, self.camera, 0, most_waiting=_MOST_WAITING, over_gaps=False, late_ns=self._late_ns
+            self.roles, self.lenses, 0, most_waiting=_MOST_WAITING, over_gaps=False, late_ns=self._late_ns
         )
 
     @property
+    def camera(self) -> Camera | None:
+        """Intrinsics of the camera that is localized, undistorted; None where unknown."""
+        return next(iter(self.lenses.values())).camera
+
+    @property
     def base_from_camera(self) -> Poses:
-        """Extrinsics, one pose."""
+        """Extrinsics of the camera that is localized, one pose."""
         assert self.roles.extrinsics is not None
         return self.roles.extrinsics.body_from_camera
 
@@ -214,7 +236,7 @@ class LiveReader:
         if raw.topic not in self.streamed:
             return
         message = decode(self.heard, raw, tolerate=True)
-        is_image = raw.topic == self.roles.image.name
+        is_image = raw.topic in self.lenses
         if message is not None and (time_ns := self._stamp(raw, message)) is not None:
             kind = self._clocks.setdefault(raw.topic, ClockOfStream()).take(time_ns, raw.log_time_ns)
             if is_image:
@@ -275,7 +297,8 @@ class LiveReader:
 
     def arrived_ns(self, time_ns: int) -> int | None:
         """Log time of one of the latest images, by its stamp; None of others."""
-        return self._arrived_ns.get(time_ns)
+        near = (self._arrived_ns.get(time_ns - late_ns) for late_ns in range(len(self.lenses)))  # see FramePairing
+        return next((arrived_ns for arrived_ns in near if arrived_ns is not None), None)
 
     @property
     def frame_ns(self) -> int | None:
@@ -290,7 +313,10 @@ class LiveReader:
 
     def odom_from_base(self, time_ns: int) -> Poses | None:
         """Pose of the base in the frame of the odometry, one pose; None where it is not known."""
-        return self._pairing.motion.odom_from_base(time_ns)
+        motion = self._pairing.motion
+        # A frame of the same time as another camera's is some nanoseconds later than its image.
+        pose = motion.odom_from_base(time_ns)
+        return motion.odom_from_base(time_ns - len(self.lenses)) if pose is None and len(self.lenses) > 1 else pose
 
     def moved_until(self, time_ns: int) -> Odometry | None:
         """See `FramePairing.moved_until`."""
@@ -309,12 +335,13 @@ def open_live(
     admit: Callable[[Any], RawMessage | None],
     waiting: Callable[[str], None],
     late_window_s: float = 0.0,
+    usual_cameras: Sequence[str] = (),
 ) -> LiveReader:
     """Wait until everything that a reading needs is there; returns its reader, with all messages so far taken.
 
     `events` receives the messages of the system, and other events. `admit` returns the message of an event to keep, or
     None; it may raise to end the wait. `waiting` is called with the missing thing, at first and every five seconds.
-    `late_window_s` is as of `LiveReader`.
+    `late_window_s` and `usual_cameras` are as of `LiveReader`.
     Raises SequenceError where something cannot be used, or there is a choice to make.
     """
     heard = TopicBuffer(transport, events, options=options)
@@ -325,7 +352,7 @@ def open_live(
         problem = None  # not known before topics have settled
         if time.monotonic() - changed_s >= _SETTLED_S:
             try:
-                reader = LiveReader(heard, options, late_window_s=late_window_s)
+                reader = LiveReader(heard, options, late_window_s=late_window_s, usual_cameras=usual_cameras)
             except NotFoundError as error:
                 problem = str(error).removeprefix(f"{heard.path}: ")
             else:

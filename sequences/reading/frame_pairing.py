@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import heapq
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
 
 from filtering.motion import Odometry
 from sequences.errors import SequenceError
@@ -49,18 +50,35 @@ class RequestedSegment:
         return self.is_stopped or (self._last_ns is not None and time_ns > self._last_ns)
 
 
+class _Taken(NamedTuple):
+    camera: str
+    picture: Picture
+
+
+class _FrameTime(NamedTuple):
+    time_ns: int  # of the frame
+    taken_ns: int  # of its image
+    covered: bool  # by odometry
+    camera: str  # '' for a time without an image
+
+
+def _taken_ns(frame: _FrameTime) -> int:
+    return frame.taken_ns
+
+
 class FramePairing:
     """Messages in, in the order of a recording; frames out, in the order of their stamps but for late ones.
 
     Attributes:
         reaches: Whether odometry and true poses have come as far as a stamp; `MotionStreams` reads on first.
         frames_span_ns: Stamps of the first and the last frame; None before any.
+        used: How many images of each camera became frames.
     """
 
     def __init__(
         self,
         roles: Roles,
-        camera: ImageCamera,
+        lenses: Mapping[str, ImageCamera],
         num_images: int,
         *,
         begin_ns: int = 0,
@@ -73,7 +91,7 @@ class FramePairing:
 
         Args:
             roles: Roles of the topics.
-            camera: The camera of the images.
+            lenses: The lens of each camera that is read, by its name.
             num_images: Number of images that the recording states.
             begin_ns: Stamp of the first image, from which the segment asked for is counted.
             most_waiting: Images held, still encoded, until odometry and true poses reach them.
@@ -86,27 +104,31 @@ class FramePairing:
         self.segment = RequestedSegment(begin_ns, roles.options.start_s, roles.options.duration_s)
         self.motion = MotionOfCamera(roles, self.skipped, over_gaps=over_gaps)
         self.reaches: Callable[[int], bool] = self.motion.reaches
-        self._roles, self._camera = roles, camera
+        self._roles, self._lenses = roles, lenses
         self._counts = self.skipped.counts
-        self._images = roles.open_images()
-        # A heap: order, number of images before, stamp, and message, None for a lost one.
-        self._waiting: list[tuple[int, int, int, Any]] = []
+        self._cameras = {camera.name: camera for camera in roles.cameras if camera.name in lenses}
+        self._infos = {camera.info.name: camera.name for camera in self._cameras.values() if camera.info is not None}
+        self._streams = {name: camera.open_images(roles.path) for name, camera in self._cameras.items()}
+        self.used = Counter[str]()  # images by camera
+        # A heap: order, number of images before, stamp, camera, and message, None for a lost one.
+        self._waiting: list[tuple[int, int, int, str, Any]] = []
+        self._orders_ns: dict[str, int] = {}  # of the latest packet of each video
+        self._last_ns: dict[str, int] = {}  # stamp of the latest frame of each camera
         self._images_ns: tuple[int, int] | None = None  # earliest and latest stamp
-        self._overtaken: list[Picture] = []  # by a newer frame, in the order of stamps
-        # Stamps, and whether odometry covers them, in order: those that a late image may follow, and the latest.
-        self._frames: list[tuple[int, bool]] = []
+        self._overtaken: list[_Taken] = []  # by a newer frame, in the order of stamps
+        # In order: those that a late image may follow, and the latest.
+        self._frames: list[_FrameTime] = []
         self.frames_span_ns: tuple[int, int] | None = None
 
     def take(self, raw: RawMessage, message: Any) -> None:
         """Take a message; None for undecodable bytes. Raises SequenceError where a fixed camera moves."""
-        if raw.topic == self._roles.image.name:
+        if raw.topic in self._cameras:
             self._counts.read += 1
             self._take_image(raw, message)
         else:
-            info = self._roles.camera_info
-            if message is not None and info is not None and raw.topic == info.name:
+            if message is not None and raw.topic in self._infos:
                 try:
-                    self._camera.take(message)
+                    self._lenses[self._infos[raw.topic]].take(message)
                 except SequenceError as error:
                     self.skipped.message("unusable intrinsics", raw.log_time_ns, str(error))
             self.motion.take(raw, message)
@@ -120,39 +142,41 @@ class FramePairing:
 
     def leave_out_odd(self, raw: RawMessage, number: int = 1) -> None:
         """Leave out a message whose stamp is unlike those around it, or so many transforms of it."""
-        if raw.topic == self._roles.image.name:
+        if raw.topic in self._cameras:
             self._counts.read += 1
-            self._leave_out_image(ODD, raw.log_time_ns)
+            self._leave_out_image(raw.topic, ODD, raw.log_time_ns)
             return
         for _ in range(number):
             self.skipped.message(f"{ODD} on {raw.topic}", raw.log_time_ns)
 
-    def _leave_out_image(self, reason: str, time_ns: int) -> None:
+    def _leave_out_image(self, camera: str, reason: str, time_ns: int) -> None:
         self.skipped.image(reason, time_ns)
-        if self._images.remembers:  # those after it build on it
-            self._wait(self._latest_ns, None)
+        if self._streams[camera].remembers:  # those after it build on it
+            self._wait(camera, self._latest_ns, None)
 
     def _take_image(self, raw: RawMessage, message: Any) -> None:
         if message is None:
-            self._leave_out_image("undecodable image", raw.log_time_ns)
+            self._leave_out_image(raw.topic, "undecodable image", raw.log_time_ns)
             return
         time_ns = stamp_ns(message.header)
         begin_ns, end_ns = self._images_ns or (time_ns, time_ns)
         self._images_ns = min(begin_ns, time_ns), max(end_ns, time_ns)
-        if self._images.remembers or self.segment.has(time_ns):
-            self._wait(time_ns, message)
+        if self._streams[raw.topic].remembers or self.segment.has(time_ns):
+            self._wait(raw.topic, time_ns, message)
         else:
             self._counts.skipped[OUTSIDE] += 1
 
-    def _wait(self, time_ns: int, message: Any) -> None:
+    def _wait(self, camera: str, time_ns: int, message: Any) -> None:
         """Keep an image: in the order of stamps, or as it came where those after it build on it."""
-        order = 0 if self._images.remembers else time_ns
-        heapq.heappush(self._waiting, (order, self._counts.read, time_ns, message))
+        order = time_ns
+        if self._streams[camera].remembers:
+            order = self._orders_ns[camera] = max(time_ns, self._orders_ns.get(camera, time_ns))
+        heapq.heappush(self._waiting, (order, self._counts.read, time_ns, camera, message))
 
     def ready_frames(self, *, at_end: bool = False) -> Iterator[Frame]:
         """Frames of the images that need to wait no longer."""
-        for picture in self._ready_pictures(at_end=at_end):
-            if (frame := self._frame_asked_for(picture)) is not None:
+        for taken in self._ready_pictures(at_end=at_end):
+            if (frame := self._frame_asked_for(taken)) is not None:
                 yield frame
 
     def newest_frame(self) -> Frame | None:
@@ -160,41 +184,48 @@ class FramePairing:
 
         Older ones are given where there is no newer one, and skipped where they are too late.
         """
-        ready = sorted([*self._overtaken, *self._ready_pictures()], key=lambda picture: picture.time_ns)
+        ready = sorted([*self._overtaken, *self._ready_pictures()], key=lambda taken: taken.picture.time_ns)
         frame: Frame | None = None
         while ready and frame is None:
-            frame = self._frame_asked_for(ready.pop())
-        after = bisect_left(ready, self._earliest_ns, key=lambda picture: picture.time_ns)
+            newest = {taken.camera: number for number, taken in enumerate(ready)}
+            turn = min(newest, key=lambda camera: self._turn(ready[newest[camera]]))
+            frame = self._frame_asked_for(ready.pop(newest[turn]))
+        after = bisect_left(ready, self._earliest_ns, key=lambda taken: taken.picture.time_ns)
         self._overtaken = ready[max(after, len(ready) - self._most_waiting) :]
         self._counts.skipped[OVERTAKEN] += len(ready) - len(self._overtaken)
         return frame
 
+    def _turn(self, newest: _Taken) -> tuple[bool, int]:
+        """A key for the cameras' newest images: new ones first, that of the camera first whose last frame is oldest."""
+        last_ns, time_ns = self._last_ns.get(newest.camera, -1), newest.picture.time_ns
+        return time_ns <= last_ns, last_ns if time_ns > last_ns else -time_ns
+
     @property
     def previous_ns(self) -> int | None:
         """Latest stamp of a frame, or a later one given to `settle`; None before any."""
-        return self._frames[-1][0] if self._frames else None
+        return self._frames[-1].time_ns if self._frames else None
 
     @property
     def _earliest_ns(self) -> int:
         """Stamp from which on an image becomes a frame."""
         if not self._frames:
             return -(1 << 63)
-        return max(self._frames[0][0] + 1, self._frames[-1][0] - self._late_ns)
+        return max(self._frames[0].taken_ns, self._frames[-1].taken_ns - self._late_ns)
 
     def drop_overtaken(self) -> None:
         """Skip the oldest of the images that wait where there are too many: newer ones are asked for, but not yet."""
-        while len(self._waiting) > self._most_waiting:
-            _, _, time_ns, message = heapq.heappop(self._waiting)
+        while len(self._waiting) > self._most_waiting * len(self._cameras):
+            _, _, time_ns, camera, message = heapq.heappop(self._waiting)
             reason = OVERTAKEN if self.motion.reaches(time_ns) else NOT_COME
-            for _ in self._images.take(time_ns, message):
+            for _ in self._streams[camera].take(time_ns, message):
                 self._counts.skipped[reason] += 1
 
-    def _ready_pictures(self, *, at_end: bool = False) -> Iterator[Picture]:
-        while self._waiting and self._is_due(self._waiting[0][2], at_end):
-            _, _, time_ns, message = heapq.heappop(self._waiting)
-            yield from self._images.take(time_ns, message)
-        if at_end:
-            yield from self._images.finish()
+    def _ready_pictures(self, *, at_end: bool = False) -> Iterator[_Taken]:
+        while self._waiting and self._is_due(self._waiting[0], at_end):
+            _, _, time_ns, camera, message = heapq.heappop(self._waiting)
+            yield from (_Taken(camera, picture) for picture in self._streams[camera].take(time_ns, message))
+        for camera, stream in self._streams.items() if at_end else ():
+            yield from (_Taken(camera, picture) for picture in stream.finish())
 
     @property
     def is_over(self) -> bool:
@@ -210,51 +241,63 @@ class FramePairing:
         """How many images wait."""
         return len(self._waiting) + len(self._overtaken)
 
-    def _is_due(self, time_ns: int, at_end: bool) -> bool:
+    def _is_due(self, waiting: tuple[int, int, int, str, Any], at_end: bool) -> bool:
         """Whether no earlier image is to be expected, and odometry and true poses have come as far."""
-        is_too_many = at_end or len(self._waiting) > self._most_waiting
-        in_order = self._images.remembers or self._latest_ns - time_ns >= self._lateness_ns
+        _, _, time_ns, camera, _ = waiting
+        is_too_many = at_end or len(self._waiting) > self._most_waiting * len(self._cameras)
+        as_it_came = len(self._cameras) == 1 and self._streams[camera].remembers
+        in_order = as_it_came or self._latest_ns - time_ns >= self._lateness_ns
         return (is_too_many or in_order) and (self.reaches(time_ns) or is_too_many)
 
-    def _frame_asked_for(self, picture: Picture) -> Frame | None:
-        if not self.segment.has(picture.time_ns):
+    def _frame_asked_for(self, taken: _Taken) -> Frame | None:
+        if not self.segment.has(taken.picture.time_ns):
             self._counts.skipped[OUTSIDE] += 1
             return None
-        frame = self._frame(picture)
-        self._counts.used += frame is not None
+        frame = self._frame(*taken)
+        if frame is not None:
+            self._counts.used += 1
+            self.used[taken.camera] += 1
         return frame
 
-    def _frame(self, picture: Picture) -> Frame | None:
+    def _frame(self, name: str, picture: Picture) -> Frame | None:
         """The frame of an image; None, and a count of why, where it is skipped."""
-        time_ns = picture.time_ns
+        taken_ns = picture.time_ns
         if picture.skipped:
-            return self.skipped.image(picture.skipped, time_ns)
-        at = bisect_left(self._frames, (time_ns, False))
-        is_known = self._frames[at : at + 1] and self._frames[at][0] == time_ns
-        if is_known or time_ns < self._earliest_ns:
-            return self.skipped.image(NOT_INCREASING, time_ns)
-        covered = self.motion.covers(time_ns)
+            return self.skipped.image(picture.skipped, taken_ns)
+        at = bisect_right(self._frames, taken_ns, key=_taken_ns)
+        known = self._frames[bisect_left(self._frames, taken_ns, key=_taken_ns) : at]
+        if taken_ns < self._earliest_ns or any(frame.camera == name for frame in known):
+            return self.skipped.image(NOT_INCREASING, taken_ns)
+        covered = self.motion.covers(taken_ns)
         if self._roles.odometry_required and not covered:
-            return self.skipped.image(uncovered(time_ns, self.motion.odometry_span_ns), time_ns)
+            return self.skipped.image(uncovered(taken_ns, self.motion.odometry_span_ns), taken_ns)
         try:
             image = picture.decode()
         except SequenceError as error:
-            return self.skipped.image(why_skipped(error), time_ns, str(error))
-        odometry = self._odometry_until(time_ns, self._frames[:at]) if covered else None
-        truth = self.motion.true_pose(time_ns)
-        self._frames.insert(at, (time_ns, covered))
-        followed = bisect_right(self._frames, (self._frames[-1][0] - self._late_ns, True)) - 1
+            return self.skipped.image(why_skipped(error), taken_ns, str(error))
+        # Cameras take images at the same time; every frame has a time of its own.
+        time_ns = max(taken_ns, known[-1].time_ns + 1) if known else taken_ns
+        odometry = self._odometry_until(taken_ns, self._frames[:at]) if covered else None
+        truth = self.motion.true_pose(taken_ns)
+        self._frames.insert(at, _FrameTime(time_ns, taken_ns, covered, name))
+        self._last_ns[name] = max(taken_ns, self._last_ns.get(name, taken_ns))
+        followed = bisect_left(self._frames, self._frames[-1].taken_ns - self._late_ns, key=_taken_ns) - 1
         del self._frames[: max(followed, 0)]
-        self.motion.forget_before(self._frames[0][0])
-        self.frames_span_ns = (self.frames_span_ns[0] if self.frames_span_ns else time_ns, self._frames[-1][0])
-        image, camera = self._camera.seen(image, time_ns)
-        return Frame(time_ns, image, odometry, truth, camera)
+        self.motion.forget_before(self._frames[0].taken_ns)
+        self.frames_span_ns = (self.frames_span_ns[0] if self.frames_span_ns else taken_ns, self._frames[-1].taken_ns)
+        image, camera = self._lenses[name].seen(image, taken_ns)
+        if len(self._roles.cameras) == 1:
+            return Frame(time_ns, image, odometry, truth, camera)
+        role = self._cameras[name]
+        mount = None if role is self._roles.cameras[0] else role.mount.body_from_camera
+        truth = truth if truth is None or mount is None else truth @ mount
+        return Frame(time_ns, image, odometry, truth, camera, camera_name=name, reference_from_camera=mount)
 
-    def _odometry_until(self, time_ns: int, before: Sequence[tuple[int, bool]]) -> Odometry | None:
+    def _odometry_until(self, time_ns: int, before: Sequence[_FrameTime]) -> Odometry | None:
         """Motion since the last of the frames before, where odometry covers that."""
-        if not before or not before[-1][1]:
+        if not before or not before[-1].covered:
             return None
-        return self.motion.odometry_between(before[-1][0], time_ns)
+        return self.motion.odometry_between(before[-1].taken_ns, time_ns)
 
     def moved_until(self, time_ns: int) -> Odometry | None:
         """Motion of the camera since the last frame, for use between images; None where it is unknown."""
@@ -265,7 +308,7 @@ class FramePairing:
 
     def settle(self, time_ns: int) -> None:
         """Begin the next motion there, as at a frame; earlier images are then too late."""
-        self._frames = [(time_ns, self.motion.covers(time_ns))]
+        self._frames = [_FrameTime(time_ns, time_ns, self.motion.covers(time_ns), "")]
         self.motion.forget_before(time_ns)
 
     def account_for_the_rest(self) -> None:
@@ -275,7 +318,7 @@ class FramePairing:
             counts.skipped[OUTSIDE] += unread
         if not counts.are_complete:
             raise SequenceError(
-                f"{self._roles.path}: {self._roles.image.name}: {counts.used} images used and"
+                f"{self._roles.path}: {', '.join(self._cameras)}: {counts.used} images used and"
                 f" {counts.skipped.total()} skipped, expected the {counts.stated} that are stated"
             )
 
@@ -327,4 +370,4 @@ class _TopicCursor:
     def __init__(self, timeline: Timeline, topic: str) -> None:
         self.latest_ns = -(1 << 63)
         self.is_over = False
-        self.messages: Iterator[Dated] = timeline.messages(topic, until=lambda _: self.is_over)
+        self.messages: Iterator[Dated] = timeline.messages([topic], until=lambda _: self.is_over)

@@ -3,45 +3,46 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
 from filtering.se3 import Poses
 from sequences.errors import NoOdometryError, NotFoundError, SequenceError
 from sequences.frame import Trajectory
-from sequences.images.decoding import decode_compressed_image, decode_image
-from sequences.images.video import ImageStream, Video
 from sequences.options import OdometryUse, SequenceOptions, TruePoseUse, pose_of_numbers
 from sequences.reading.extrinsics import CameraMount, Extrinsics, find_extrinsics
 from sequences.reading.pose_routes import PoseRoute, find_true_poses, tree_odometry
 from sequences.reading.pose_sources import PoseSource, odometry_of_topic
+from sequences.reading.rig import find_cameras
 from sequences.reading.timeline import Key, Timeline
 from sequences.recordings.messages import frame_name
 from sequences.recordings.source import TF, TF_STATIC, MessageSource, RawMessage, Topic, choose, decode, first
 
 _OFFSET_SEGMENT_S, _OFFSET_STEP_S = 1800.0, 0.02  # of odometry, to find a time offset in
-_IMAGE_STREAMS: dict[str, Callable[[], ImageStream]] = {
-    "sensor_msgs/Image": partial(ImageStream, decode_image),
-    "sensor_msgs/CompressedImage": partial(ImageStream, decode_compressed_image),
-    "foxglove_msgs/CompressedVideo": partial(Video, "format"),
-    "ffmpeg_image_transport_msgs/FFMPEGPacket": partial(Video, "encoding"),
-}
-IMAGE_TYPES = tuple(_IMAGE_STREAMS)
-_TRANSPORTS = ("compressed", "ffmpeg", "foxglove")  # by the habit of image_transport, the last part of a topic's name
 
 
 class Roles:
-    """The role of each topic, frame or file: the one named by an option, or the only one of its kind."""
+    """The role of each topic, frame or file: the one named by an option, or the only one of its kind.
 
-    def __init__(self, bag: MessageSource, options: SequenceOptions, odometry: OdometryUse, true_poses: TruePoseUse):
-        image = choose(bag, "image", IMAGE_TYPES, options.image_topic, required=True)
-        assert image is not None
-        self.image = image
+    Odometry, extrinsics and true poses are those of the first of the cameras.
+    """
+
+    def __init__(
+        self,
+        bag: MessageSource,
+        options: SequenceOptions,
+        odometry: OdometryUse,
+        true_poses: TruePoseUse,
+        *,
+        usual_cameras: Sequence[str] = (),
+    ) -> None:
         self._bag, self.path, self.options = bag, bag.path, options
-        self.open_images()  # what it needs may not be installed
+        self.cameras, self.notices = find_cameras(bag, options, usual_cameras)
+        for camera in self.cameras:
+            camera.open_images(self.path)  # what it needs may not be installed
+        self.image = self.cameras[0].image
         self.odometry_required = odometry in ("required", "auto")
         self.no_odometry = ""  # why there is none, where there need not be any
         self.truth_required = true_poses == "required"
@@ -63,21 +64,6 @@ class Roles:
         self.truth = find_true_poses(bag, options, mount, required=needed, odometry=self._odometry_track)
         if odometry == "ignored":
             self.odometry = self.tree_odometry = self.extrinsics = None
-        info_name = options.camera_info_topic
-        if info_name is None:
-            # By the habit of ROS and of Foxglove, the intrinsics lie beside the image topic.
-            parts = image.name.split("/")
-            folder = "/".join(parts[: -2 if parts[-1] in _TRANSPORTS else -1])
-            beside = (f"{folder}/{name}" for name in ("camera_info", "calibration"))
-            info_name = next((name for name in beside if name in bag.topics), None)
-        self.camera_info = choose(bag, "camera-info", ("sensor_msgs/CameraInfo",), info_name)
-
-    def open_images(self) -> ImageStream:
-        """A new stream of the images. Raises SequenceError where PyAV is missing."""
-        try:
-            return _IMAGE_STREAMS[self.image.read_as]()
-        except SequenceError as error:
-            raise SequenceError(f"{self.path}: {self.image.name} ({self.image.type}): {error}") from error
 
     def open_odometry(self) -> PoseSource | None:
         """A new source of odometry; None where none is read."""
@@ -142,7 +128,7 @@ class Roles:
             raise SequenceError(f"{self.path}: no odometry found, expected it for --time-offset-s auto")
         links = set(source.links) if self.odometry is None else None
         times_ns, numbers = array("q"), array("d")
-        for dated in Timeline(self._bag, {source.topic: links}).messages(source.topic):
+        for dated in Timeline(self._bag, {source.topic: links}).messages([source.topic]):
             if dated.message is None or not dated.stamps_ns:
                 continue
             for sample in source.samples(dated.message)[0]:
@@ -172,9 +158,14 @@ class Roles:
         return ""
 
     @property
+    def image_topics(self) -> list[str]:
+        """Names of the topics of images."""
+        return [camera.name for camera in self.cameras]
+
+    @property
     def watched(self) -> dict[str, set[Key] | None]:
         """Names of the topics that are read from front to back: with the links that count of tf, else None."""
-        names: dict[str, set[Key] | None] = {self.image.name: None}
+        names: dict[str, set[Key] | None] = dict.fromkeys(self.image_topics)
         links: dict[str, set[Key]] = {}
         if self.odometry is not None:
             names[self.odometry.name] = None
@@ -184,11 +175,11 @@ class Roles:
                 links.setdefault(TF, set()).update(route.open().links)
             elif route.topic:
                 names[route.topic] = None
-        for extrinsics in (self.extrinsics, *(route.extrinsics for route in routes)):
+        mounts = [self.extrinsics, *(route.extrinsics for route in routes), *(camera.mount for camera in self.cameras)]
+        for extrinsics in mounts:
             for step in extrinsics.path if extrinsics is not None else ():
                 links.setdefault(TF_STATIC if step.static else TF, set()).add(step.link)
-        if self.camera_info is not None:
-            names[self.camera_info.name] = None
+        names |= dict.fromkeys(camera.info.name for camera in self.cameras if camera.info is not None)
         return {name: links for name, links in {**names, **links}.items() if name in self._bag}
 
     @property

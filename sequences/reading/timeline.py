@@ -93,16 +93,16 @@ class LoggedSegment:
         is_over: Whether everything that comes lies too far behind it.
     """
 
-    def __init__(self, image_topic: str, duration_s: float) -> None:
+    def __init__(self, image_topics: Collection[str], duration_s: float) -> None:
         """Set up a segment that lasts so long from the first image on."""
         self.is_over = False
-        self._topic, self._until_ns = image_topic, round((duration_s + MAX_LATENESS_S) * 1e9)
+        self._topics, self._until_ns = image_topics, round((duration_s + MAX_LATENESS_S) * 1e9)
         self._last_ns: int | None = None
         self._passed_ns = 0
 
     def take(self, raw: RawMessage) -> None:
         """Take the next message."""
-        if raw.topic != self._topic:
+        if raw.topic not in self._topics:
             return
         since_ns = 0 if self._last_ns is None else raw.log_time_ns - self._last_ns
         self._last_ns = raw.log_time_ns
@@ -180,16 +180,19 @@ class Timeline:
                 logged.setdefault(key, array("q")).append(min(raw.log_time_ns, _LATEST_NS))
         self._log_times_differ = any(min(log) < max(log) for log in logged.values())
         arrays = {key: (np.array(stamps[key], np.int64), np.array(logged[key], np.int64)) for key in stamps}
+        self._logged = {key: log for key, (_, log) in arrays.items() if key[0] == ""}
         timeless = set(watched.get(TF_STATIC) or ())
         self.streams = _by_steady_clock({key: both for key, both in arrays.items() if key not in timeless})
         self.streams |= {key: StreamTimes(arrays[key][0]) for key in timeless & arrays.keys()}
 
-    def messages(self, topic: str, *, until: Callable[[int], bool] = lambda log_time_ns: False) -> Iterator[Dated]:
-        """Messages of one topic in the order of the recording. Raises SequenceError where it is damaged."""
+    def messages(
+        self, topics: Collection[str], *, until: Callable[[int], bool] = lambda log_time_ns: False
+    ) -> Iterator[Dated]:
+        """Messages of some topics in the order of the recording. Raises SequenceError where it is damaged."""
         seen = Counter[Key]()
-        for raw in self._bag.messages([topic], until=until):
+        for raw in self._bag.messages(topics, until=until):
             message = decode(self._bag, raw, tolerate=True)
-            headers = self._headers(topic, message)
+            headers = self._headers(raw.topic, message)
             stamps, odd = [], []
             for key, header in headers:
                 times, time_ns = self.streams.get(key), stamp_ns(header)
@@ -203,7 +206,7 @@ class Timeline:
                 if not any(header is each for each in odd):
                     stamps.append((key, time_ns))
                 seen[key] += 1
-            if odd and self._watched[topic] is not None and message is not None:
+            if odd and self._watched[raw.topic] is not None and message is not None:
                 message.transforms = [t for t in message.transforms if not any(t.header is each for each in odd)]
             yield Dated(raw, message, len(odd), tuple(stamps))
 
@@ -231,6 +234,17 @@ class Timeline:
         if not streams or len(streams) < len(keys):
             return None
         return max(times.begin_ns for times in streams), min(times.end_ns for times in streams)
+
+    def lateness_ns(self, topics: Collection[str]) -> int:
+        """How much earlier a stamp of some topics may be than the latest one before it of any of them."""
+        keys = [("", topic) for topic in topics if ("", topic) in self.streams]
+        if len(keys) < 2:
+            return max((self.streams[key].lateness_ns for key in keys), default=0)
+        usual = [~self.streams[key].odd for key in keys]
+        logged = np.concatenate([self._logged[key][use] for key, use in zip(keys, usual, strict=True)])
+        stamps = np.concatenate([self.streams[key].times_ns[use] for key, use in zip(keys, usual, strict=True)])
+        stamps = stamps[np.argsort(logged, kind="stable")]
+        return int((np.maximum.accumulate(stamps) - stamps).max(initial=0))
 
     def spacing_s(self, keys: Collection[Key]) -> float:
         """Median time between two messages of the sparsest of some streams; 0 where there are none."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -23,6 +23,8 @@ _TOLERANCE = 0.1  # of the time between frames: stamps tremble
 
 class VisualSequence:
     """The frames of another sequence, with visual odometry.
+
+    Of several cameras the one that is localized shows the motion; images of the others are taken along it.
 
     Attributes: those of the other sequence, but for
 
@@ -105,10 +107,17 @@ class VisualSequence:
         recorded: list[Odometry | None] = []
         since: list[Odometry | None] = []
         tracked, given = Rate(max(_TRACKED_HZ, self._most_hz)), Rate(self._most_hz)
+        rates, others = dict[str, Rate](), list[Frame]()
+        last_ns: int | None = None
         fusion = OdometryFusion() if self.beside else None
-        for number, frame in enumerate(self._frames):
+        for frame in self._frames:
             motion = frame.odometry
             recorded.append(motion if motion is None or self._restated is None else self._restated(motion))
+            if frame.reference_from_camera is not None:
+                is_due = rates.setdefault(frame.camera_name, Rate(self._most_hz)).is_due(frame.time_ns)
+                others += [frame] if is_due else []
+                self._num_between += not is_due
+                continue
             if not tracked.is_due(frame.time_ns):
                 self._num_between += 1
                 continue
@@ -118,7 +127,7 @@ class VisualSequence:
             else:
                 visual = visual or VisualOdometry(camera, usual_depth_m=self._usual_depth_m)
                 odometry = visual.step(frame.image, frame.time_ns, camera)
-            self._num_unknown += number > 0 and odometry is None
+            self._num_unknown += last_ns is not None and odometry is None
             if fusion is not None:
                 odometry = fusion.step(joined(recorded), odometry)
                 self._disagreed_s = fusion.disagreed_s
@@ -127,8 +136,9 @@ class VisualSequence:
             if not given.is_due(frame.time_ns):
                 self._num_between += 1
                 continue
-            yield replace(frame, odometry=joined(since) if number else None)
-            since = []
+            yield from _along([*others, frame], None if last_ns is None else joined(since), last_ns)
+            since, others, last_ns = [], [], frame.time_ns
+        yield from _along(others, None, last_ns)
 
     def _camera_of(self, frame: Frame) -> Camera | None:
         """The intrinsics of a frame; None where neither it nor the camera assumed has any."""
@@ -136,6 +146,17 @@ class VisualSequence:
         if frame.camera is not None:
             return frame.camera
         return self._camera.scaled(width, height) if same_aspect(self._camera, width, height) else None
+
+
+def _along(frames: Sequence[Frame], motion: Odometry | None, begin_ns: int | None) -> Iterator[Frame]:
+    """Frames in order, with their parts of the motion from a time to the last of them."""
+    for frame in frames:
+        part = None
+        if motion is not None and begin_ns is not None:
+            left_ns = frames[-1].time_ns - begin_ns
+            part = motion.part((frame.time_ns - begin_ns) / left_ns) if frame is not frames[-1] else motion
+            motion, begin_ns = motion.after(part), frame.time_ns
+        yield replace(frame, odometry=part)
 
 
 class Rate:

@@ -252,7 +252,7 @@ def test_without_odometry_the_camera_has_moved_as_far_in_hindsight_as_in_the_fil
         steps.append(FilterStep.of(observation, estimate))
         distances.append(estimate.normalized_distance)
     config = SmoothingConfig.of_filter(LocalizerConfig())
-    sources, moved = Sources.unseen(ERRORS, config), []
+    sources, moved = Sources.unseen(ERRORS, config, [steps[0].camera]), []
     for step in steps:
         sources, there, *_ = sources.after(step, ERRORS, config)
         moved.append(there[0])

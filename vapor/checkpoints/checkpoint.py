@@ -52,6 +52,12 @@ class _Model:
     landmarks: Landmarks | None = None
     """Points of the place, by which poses are found to centimetres; None where there are none."""
 
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """Names of the cameras whose images it learned from, that of the localized one first; empty where unknown."""
+        named = self.training.get("cameras")
+        return tuple(map(str, named)) if isinstance(named, list | tuple) else ()
+
     @cached_property
     def training_prior(self) -> TrainingPrior:
         """How often its network saw each place."""

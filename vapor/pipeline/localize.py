@@ -19,7 +19,7 @@ from filtering.errors import VaporTrackError
 from filtering.hindsight import FilterStep
 from filtering.localizer import ParticleLocalizer
 from filtering.measurement_noise import MeasurementNoise
-from filtering.observation import Observation
+from filtering.observation import ONLY_CAMERA, Observation
 from filtering.posterior import ObservationModel
 from filtering.storeys import Storeys
 from sequences.estimates.sequence import EstimateSequence
@@ -113,8 +113,14 @@ def localize(
             with _about(frame, source):
                 if odometry is not None and odometry_fit is not None:
                     odometry = odometry_fit.restated(odometry)
-                posterior = localizer.observe(observed(frame))
-            observation = Observation.of_posterior(posterior, odometry, elapsed_s(before_ns, frame.time_ns))
+                posterior = localizer.observe(observed(frame), camera=frame.camera_name or ONLY_CAMERA)
+            observation = Observation.of_posterior(
+                posterior,
+                odometry,
+                elapsed_s(before_ns, frame.time_ns),
+                reference_from_camera=frame.reference_from_camera,
+                camera=frame.camera_name or ONLY_CAMERA,
+            )
             yield frame, observation, 1e3 * (time.perf_counter() - begin)
             before_ns = frame.time_ns
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -101,7 +101,7 @@ def run_into(
 ) -> RunResult:
     """As `run`, but file by file into a directory that exists."""
     reading = reading or SequenceOptions()
-    reader = _open(sequence, reading, config)
+    reader = _open(sequence, reading, config, model.observation.description.cameras)
     observation = model.observation.seen_by(reader.camera)
     calibration = observation.description.calibration
     fit = calibration.odometry if config.fitted_odometry else None
@@ -157,13 +157,13 @@ def run_into(
         return replace(result, engine=f"{engine['engine']} on {engine['device']}, {config.precision}")
 
 
-def _open(sequence: Path, reading: SequenceOptions, config: RunConfig) -> FrameSource:
+def _open(sequence: Path, reading: SequenceOptions, config: RunConfig, cameras: Sequence[str]) -> FrameSource:
     if not is_image_sequence(sequence):
         if _USES[config.odometry] == "ignored" and (reading.odometry_topic or reading.odometry_frame):
             raise VaporTrackError(
                 f"--odometry {config.odometry} beside --odometry-topic or --odometry-frame, expected one of them"
             )
-        return SequenceReader(sequence, reading, odometry=_USES[config.odometry])
+        return SequenceReader(sequence, reading, odometry=_USES[config.odometry], usual_cameras=cameras)
     if config.odometry in ("recorded", "both"):
         raise VaporTrackError(
             f"{sequence}: --odometry {config.odometry} with images alone, expected a recording with odometry"

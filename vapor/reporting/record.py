@@ -82,7 +82,7 @@ class Keyframe:
             cloud=cloud,
             modes=estimate.modes,
             status=estimate.status,
-            world_from_camera=frame.world_from_camera,
+            world_from_camera=frame.world_from_reference,
             spread_m=float(np.sqrt(cloud.translation.var(axis=0).sum())),
         )
 
@@ -229,10 +229,10 @@ class RunRecorder:
             self._has_odometry = True
             self._dead_reckoning.append(self._dead_reckoning[-1] @ frame.odometry.previous_from_current)
         else:  # the first image, of the run or after a gap; a sequence without odometry shows no dead reckoning
-            start = best.world_from_camera if frame.world_from_camera is None else frame.world_from_camera
+            start = best.world_from_camera if frame.world_from_reference is None else frame.world_from_reference
             self._dead_reckoning.append(start)
-        if frame.world_from_camera is not None:
-            self._truth.append((frame.time_ns, frame.world_from_camera))
+        if frame.world_from_reference is not None:
+            self._truth.append((frame.time_ns, frame.world_from_reference))
         self._times_ns.append(frame.time_ns)
         for name, modes in {"single_image": step.image_modes, **step.baselines, "filter": estimate.modes}.items():
             self._poses.setdefault(name, []).append(modes[0].world_from_camera)

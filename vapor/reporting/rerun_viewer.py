@@ -121,12 +121,12 @@ class RerunViewer:
             self._rows.add("world/posterior/cameras", rr.LineStrips3D, strips=cameras)
         self._log_plots(frame, estimate)
         self._last_best = estimate.modes[0].world_from_camera
-        self._last_truth = frame.world_from_camera
+        self._last_truth = frame.world_from_reference
 
     def _log_camera(self, frame: Frame, estimate: Estimate) -> None:
         import rerun as rr
 
-        best, truth = estimate.modes[0].world_from_camera, frame.world_from_camera
+        best, truth = estimate.modes[0].world_from_camera, frame.world_from_reference
         if frame.image.size:  # none with estimates of others
             self._log_image(frame)
         self._rows.add(
@@ -185,8 +185,8 @@ class RerunViewer:
             "belief/unassigned": estimate.unassigned,
             "belief/agreement": estimate.agreement,
         }
-        if frame.world_from_camera is not None:
-            position, rotation = _log_errors(estimate.modes[0].world_from_camera, frame.world_from_camera)
+        if frame.world_from_reference is not None:
+            position, rotation = _log_errors(estimate.modes[0].world_from_camera, frame.world_from_reference)
             plotted |= {"error/position/filter": float(position), "error/rotation/filter": float(rotation)}
         for entity, value in plotted.items():
             self._rows.add(entity, rr.Scalars, scalars=[value])

@@ -95,7 +95,7 @@ class Health:
             for reason in [*self.skipped, *reader.skipped_messages]
             if reason not in _USUAL
         }
-        notices |= {notice: notice for notice in reader.camera.notices}
+        notices |= {notice: notice for lens in reader.lenses.values() for notice in lens.notices}
         if self.recorder is not None and self.recorder.error is not None:
             notices[self.recorder.error] = self.recorder.error
         if reader.apart is not None and reader.counts.read > _ENOUGH_IMAGES:

@@ -195,18 +195,19 @@ class LiveSession:
             admit=self._admit,
             waiting=self._say_waiting,
             late_window_s=settings.late_window_s,
+            usual_cameras=self._model.observation.description.cameras,
         )
         fit = calibration.odometry if self._config.fitted_odometry else None
         if fit is not None:
             settings = replace(settings, odometry_bias=fit.odometry_bias)
-        observation = self._model.observation.seen_by(reader.camera.camera)
+        observation = self._model.observation.seen_by(reader.camera)
         localizer = ParticleLocalizer(observation, settings, rng=np.random.default_rng(self._config.seed))
         self._health.reader = reader
         self._belief = LiveBelief(localizer, observation, reader, fit, self._config.lag)
         roles = reader.roles
         odometry = roles.odometry.name if roles.odometry is not None else f"tf from {roles.odometry_frame}"
-        info = f", {roles.camera_info.name}" if roles.camera_info is not None else ""
-        self._notify(f"localizes by {roles.image.name}{info} and {odometry}")
+        infos = [camera.info.name for camera in roles.cameras if camera.info is not None]
+        self._notify(f"localizes by {', '.join([*roles.image_topics, *infos])} and {odometry}")
         for notice in [*self._model.observation.notices, *self._health.notices()]:
             self._notify(notice)
         return self._belief
@@ -237,7 +238,7 @@ class LiveSession:
                 self._localize(belief, event)
             elif (raw := self._admit(event)) is not None:
                 is_later = belief.reader.take(raw)
-                if raw.topic == belief.reader.roles.image.name:
+                if raw.topic in belief.reader.lenses:
                     self._health.image_came()
                 elif is_later:
                     self._health.odometry_came()

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
@@ -80,12 +79,12 @@ def hold_out(images: TrainingSet, fraction: float) -> Split:
     like = np.searchsorted(rows, np.arange(len(images)), side="right") - 1  # the last compared image, or the next one
     like += images.sequence[rows[like]] != images.sequence
     candidate = chosen[like]
-    others = ~candidate & ~_touching(way, images.sequence, candidate)
+    others = ~candidate & ~_touching(way, images.walk, candidate)
     shown = candidate.copy()
     shown[candidate] = nearest_m(images.poses[candidate], images.poses[others], FARTHEST * side) <= near_m
     alone = long_runs(candidate & ~shown, way, images.sequence)
     training = ~candidate | alone
-    held_out = shown & ~_touching(way, images.sequence, training)
+    held_out = shown & ~_touching(way, images.walk, training)
     if held_out.sum() < LEAST_IMAGES:
         return _within_one_pass(images, way, fraction, near_m)
     notes = [f"held out: {_in_words(images, held_out)}; other passes show the same ground"]
@@ -150,9 +149,11 @@ def shown_by(images: TrainingSet, near_m: float) -> Bool[np.ndarray, "n r"]:
     scale_m = FARTHEST * typical_side_m(images.poses)
     way = way_of(images)
     found = np.zeros((len(images), len(images.names)), bool)
+    walk = images.walk
     for number in range(len(images.names)):
         of_it = images.sequence == number
-        found[~of_it, number] = nearest_m(images.poses[~of_it], images.poses[of_it], scale_m) <= near_m
+        others = walk != walk[of_it][:1]  # other cameras see the same at the same time, which shows nothing
+        found[others, number] = nearest_m(images.poses[others], images.poses[of_it], scale_m) <= near_m
         own = np.flatnonzero(of_it)
         at, ahead = images.poses.translation[own], images.poses.rotation[own, :, 2]
         pieces = np.floor(4.0 * (way[own] - way[own[:1]]))
@@ -171,26 +172,34 @@ def shown_by(images: TrainingSet, near_m: float) -> Bool[np.ndarray, "n r"]:
 
 
 def way_of(images: TrainingSet) -> Float64[np.ndarray, " n"]:
-    """Normalized distance that the camera has covered, (n,): 1 for a move to elsewhere, and for each 45° turned."""
+    """Normalized distance that the camera has covered, (n,): 1 for a move to elsewhere, and for each 45° turned.
+
+    Of several cameras on one walk it is that of the first, at the time of each image.
+    """
     steps = np.zeros(len(images))
     if len(images) > 1:
         moved_m, turned = images.poses[:-1].distance(images.poses[1:])
         steps[1:] = moved_m / (FARTHEST * typical_side_m(images.poses)) + turned / DIRECTION_RAD
-    return np.cumsum(steps)
+    way, walk = np.cumsum(steps), images.walk
+    for number in np.unique(walk):
+        cameras = [np.flatnonzero(images.sequence == camera) for camera in np.unique(images.sequence[walk == number])]
+        for own in cameras[1:]:
+            way[own] = np.interp(images.times_ns[own], images.times_ns[cameras[0]], way[cameras[0]])
+    return way
 
 
 def _chosen(
     images: TrainingSet, way: Float64[np.ndarray, " n"], fraction: float, side: float
 ) -> tuple[Bool[np.ndarray, " n"], float]:
     """Mask of the passes to hold out, and the distance that counts as near, metres."""
-    passes = list(_passes(images.sequence, fraction))
+    passes = list(_passes(images, fraction))
     taken = np.zeros(len(images), bool)
 
-    def nearest(which: slice) -> Float64[np.ndarray, " k"]:
+    def nearest(which: Int64[np.ndarray, " p"]) -> Float64[np.ndarray, " k"]:
         """Distances of the images of a pass, and of those already taken, from the images that would be trained on."""
         mask = taken.copy()
         mask[which] = True
-        others = ~mask & ~_touching(way, images.sequence, mask)
+        others = ~mask & ~_touching(way, images.walk, mask)
         return nearest_m(images.poses[mask], images.poses[others], FARTHEST * side)
 
     near_m = near_m_of(np.concatenate([nearest(which) for which in passes]), FARTHEST * side)
@@ -203,25 +212,28 @@ def _chosen(
     return taken, near_m
 
 
-def _passes(sequence: Int64[np.ndarray, " n"], fraction: float) -> Iterator[slice]:
-    """Candidates for holding out: whole recordings, or segments of few recordings."""
-    begins = np.flatnonzero(np.diff(sequence, prepend=sequence[0] - 1))
-    for begin, end in pairwise([*begins.tolist(), len(sequence)]):
-        length = end - begin
-        if len(begins) < WHOLE_OF:
-            length = min(max(int(fraction * len(sequence)), 2), length)
-        for first in range(begin, end - length + 1, max(length // 4, 1)):
-            yield slice(first, first + length)
+def _passes(images: TrainingSet, fraction: float) -> Iterator[Int64[np.ndarray, " p"]]:
+    """Candidates for holding out, images in order of time: whole walks, or segments of few walks."""
+    walk = images.walk
+    numbers = np.unique(walk)
+    for number in numbers:
+        own = np.flatnonzero(walk == number)
+        own = own[np.argsort(images.times_ns[own], kind="stable")] if images.walks else own
+        length = len(own)
+        if len(numbers) < WHOLE_OF:
+            length = min(max(int(fraction * len(walk)), 2), length)
+        for first in range(0, len(own) - length + 1, max(length // 4, 1)):
+            yield np.sort(own[first : first + length])
 
 
 def _touching(
-    way: Float64[np.ndarray, " n"], sequence: Int64[np.ndarray, " n"], mask: Bool[np.ndarray, " n"]
+    way: Float64[np.ndarray, " n"], walk: Int64[np.ndarray, " n"], mask: Bool[np.ndarray, " n"]
 ) -> Bool[np.ndarray, " n"]:
     """Images next to the mask: between the two the camera does not move to elsewhere."""
     touching = np.zeros(len(mask), bool)
-    for number in np.unique(sequence[mask]):
-        own = np.flatnonzero(sequence == number)
-        at = way[own[mask[own]]]
+    for number in np.unique(walk[mask]):
+        own = np.flatnonzero(walk == number)
+        at = np.sort(way[own[mask[own]]])
         after = np.searchsorted(at, way[own])
         gaps = np.abs(at[np.clip([after - 1, after], 0, len(at) - 1)] - way[own])
         touching[own] = gaps.min(axis=0) < 1.0

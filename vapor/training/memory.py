@@ -36,7 +36,7 @@ class TrainingFeatures:
         features: Their features, from `extract_features`.
         translation: True positions, metres.
         rotation: True rotations, world_from_camera.
-        sequence: Number of the recording of each image.
+        walk: Number of the walk of each image.
         way: Distance that the camera has covered, from `way_of`.
         reach: Distance within which images of the same recording are hidden from each image.
         variants: Features of the images after augmentation, by the number of the variation.
@@ -46,7 +46,7 @@ class TrainingFeatures:
     features: Float[Tensor, "n f"]
     translation: Float[Tensor, "n 3"]
     rotation: Float[Tensor, "n 3 3"]
-    sequence: Int64[Tensor, " n"]
+    walk: Int64[Tensor, " n"]
     way: Float[Tensor, " n"]
     reach: Float[Tensor, " n"]
     variants: dict[int, Float[Tensor, "n f"]] = field(default_factory=dict)
@@ -87,7 +87,7 @@ class TrainingFeatures:
         """The images that each of these must not recall: its own pass, which no image in use will be part of."""
         rows = torch.from_numpy(indices).to(self.way.device)
         near = (self.way[rows][:, None] - self.way).abs() < self.reach[rows][:, None]
-        return near & (self.sequence[rows][:, None] == self.sequence)
+        return near & (self.walk[rows][:, None] == self.walk)
 
 
 def extract_training_features(
@@ -118,7 +118,7 @@ def extract_training_features(
         features,
         torch.from_numpy(images.poses.translation).float().to(device),
         torch.from_numpy(images.poses.rotation).float().to(device),
-        torch.from_numpy(images.sequence).to(device),
+        torch.from_numpy(images.walk).to(device),
         torch.from_numpy(way).float().to(device),
         torch.from_numpy(np.where(_shown_again(images, way), 1.0, _ALONE)).float().to(device),
     )
@@ -139,6 +139,7 @@ def remember(network: PoseRegressor, features: TrainingFeatures | None) -> None:
 
 def _shown_again(images: TrainingSet, way: Float64[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
     """Whether another pass or recording shows the ground of each image."""
+    walk = images.walk
     at = (images.poses.translation / near_scale_m(images.poses)).astype(np.float32)
     ahead = images.poses.rotation[:, :, 2].astype(np.float32)
     square, shown = (at**2).sum(axis=1), np.zeros(len(images), bool)
@@ -147,5 +148,5 @@ def _shown_again(images: TrainingSet, way: Float64[np.ndarray, " n"]) -> Bool[np
         near = square[own, None] + square - 2.0 * at[own] @ at.T < 1.0
         near &= ahead[own] @ ahead.T > np.cos(np.pi / 4)
         apart = np.abs(way[own, None] - way) >= 1.0
-        shown[own] = (near & (apart | (images.sequence[own, None] != images.sequence))).any(axis=1)
+        shown[own] = (near & (apart | (walk[own, None] != walk))).any(axis=1)
     return shown

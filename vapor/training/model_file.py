@@ -129,7 +129,7 @@ def model_checkpoint(
         _prior_poses(model, learned, config.seed),
         weights_of(model),
         model.memory.cpu() if model.memory else None,
-        training=json.loads(json.dumps({**provenance, **found.provenance})),
+        training=json.loads(json.dumps({**provenance, "cameras": learned.cameras, **found.provenance})),
         ood_model=ood_model,
         camera=split.training.camera,
         landmarks=found.landmarks,

@@ -117,12 +117,14 @@ def some_runs(count: int, limit: int) -> Int64[np.ndarray, " k"]:
 
 
 def odometry_segments(images: TrainingSet) -> list[OdometrySegment]:
-    """Consecutive images with odometry from each to the next, and their true poses."""
+    """Consecutive images with odometry from each to the next, and their true poses; of a walk, those of one camera."""
     segments: list[OdometrySegment] = []
+    walk = images.walk
+    first = {int(walk[i]): int(images.sequence[i]) for i in reversed(range(len(walk)))}
     begins = [i for i, step in enumerate(images.odometry) if step is None]
     for begin, end in zip(begins, [*begins[1:], len(images)][: len(begins)], strict=True):
         steps = [step for step in images.odometry[begin + 1 : end] if step is not None]
-        if steps:
+        if steps and first[int(walk[begin])] == images.sequence[begin]:
             truth = images.poses[np.arange(begin, end)]
             segments.append(OdometrySegment(steps, truth, int(images.sequence[begin])))
     return segments

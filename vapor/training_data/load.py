@@ -57,6 +57,7 @@ def load_training_set(
     skipped: Counter[str] = Counter()
     notices: list[str] = []
     colours: dict[str, Colours] = {}
+    cameras, topics = {"": 0}, dict[str, None]()
     shape: tuple[int, ...] | None = None
     camera = camera or _commonest_camera(sequences)
     camera_size = (camera.width, camera.height) if camera else None
@@ -95,7 +96,8 @@ def load_training_set(
                 of_image = given.pop(frame.time_ns, None) if frame.camera is not None else None
                 points = of_image and replace(of_image, point=of_image.point + index * POINTS_OF_A_MODEL)
                 step = frame.odometry if follows else None
-                rows.append(_Row((index, frame.sequence), frame.time_ns, frame.world_from_camera, step, points))
+                source = index, frame.sequence, cameras.setdefault(frame.camera_name, len(cameras))
+                rows.append(_Row(source, frame.time_ns, frame.world_from_camera, step, points))
                 follows = True
                 progress(len(rows))
             if len(rows) == num_before:
@@ -103,6 +105,7 @@ def load_training_set(
             if isinstance(frames, PosedFrames):
                 skipped += frames.skipped
                 notices += frames.notices
+                topics |= dict.fromkeys(frames.camera_names)
             notices += said_of_views(name, agreeing.checks())
         if shape is None or camera_size is None or as_taken is None:
             raise TrainingError("no training data, expected at least one sequence")
@@ -114,12 +117,14 @@ def load_training_set(
     notices += said_of_colours(colours)
     notices += [*_of_cameras(as_taken, len(sources)), *too_far(poses)]
     begins = np.any(np.diff(np.array(sources), axis=0, prepend=[sources[0]]) != 0, axis=1)
+    begun = [sources[i] for i in [0, *np.flatnonzero(begins)]]
+    walks = {source[:2]: number for number, source in enumerate(dict.fromkeys(each[:2] for each in begun))}
     return TrainingSet(
         images,
         np.arange(len(rows)),
         poses,
         np.cumsum(begins),
-        _sequence_names(list(sequences), [sources[i] for i in [0, *np.flatnonzero(begins)]]),
+        _sequence_names(list(sequences), begun, list(cameras)),
         camera_size,
         np.array([row.time_ns for row in rows], np.int64),
         tuple(row.odometry for row in rows),
@@ -129,11 +134,13 @@ def load_training_set(
         kept,
         view_camera,
         points if any(points) else (),
+        tuple(walks[source[:2]] for source in begun),
+        tuple(topics),
     )
 
 
 class _Row(NamedTuple):
-    source: tuple[int, int]  # numbers of the file or folder, and of the sequence in it
+    source: tuple[int, int, int]  # numbers of the file or folder, of the sequence in it, and of the camera
     time_ns: int
     pose: Poses
     odometry: Odometry | None
@@ -165,10 +172,19 @@ def _of_cameras(as_taken: AsTakenBy, total: int) -> list[str]:
     ]
 
 
-def _sequence_names(names: Sequence[str], begun: Sequence[tuple[int, int]]) -> tuple[str, ...]:
-    """Names of sequences, given by the number of their file or folder and their number in it."""
-    several = {file for file, count in Counter(file for file, _ in begun).items() if count > 1}
-    return tuple(f"{names[file]}, sequence {number + 1}" if file in several else names[file] for file, number in begun)
+def _sequence_names(
+    names: Sequence[str], begun: Sequence[tuple[int, int, int]], cameras: Sequence[str]
+) -> tuple[str, ...]:
+    """Names of sequences, given by the numbers of their file or folder, in it, and of their camera."""
+    several = {
+        file for file, numbers in Counter(file for file, _ in {each[:2] for each in begun}).items() if numbers > 1
+    }
+    return tuple(
+        names[file]
+        + (f", sequence {number + 1}" if file in several else "")
+        + (f", {cameras[camera]}" if camera else "")
+        for file, number, camera in begun
+    )
 
 
 class GreyViews:

@@ -39,6 +39,9 @@ class TrainingSet:
         views: The m images, grey and larger, for landmarks, memory-mapped; empty if not requested.
         view_camera: The stated camera of `views`; where none is stated, with a guessed focal length.
         seen_points: Points of a reconstruction that each of the m images shows; empty without a reconstruction.
+        walks: Number of the walk of each sequence, by its index: several cameras record one walk, each a sequence of
+            its own. Empty where each sequence is a walk.
+        cameras: Names of the cameras of recordings; empty where none is known.
     """
 
     images: UInt8[np.ndarray, "m h w 3"]
@@ -55,9 +58,16 @@ class TrainingSet:
     views: UInt8[np.ndarray, "v h2 w2"] = field(default_factory=lambda: np.zeros((0, 1, 1), np.uint8))
     view_camera: Camera | None = None
     seen_points: tuple[SeenPoints | None, ...] = ()
+    walks: tuple[int, ...] = ()
+    cameras: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.sequence)
+
+    @property
+    def walk(self) -> Int64[np.ndarray, " n"]:
+        """Number of the walk of each image, (n,)."""
+        return np.array(self.walks, np.int64)[self.sequence] if self.walks else self.sequence
 
     def unload(self) -> None:
         """Free the memory of images read from disk; they are read again when they are used."""

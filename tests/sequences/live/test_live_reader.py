@@ -154,7 +154,7 @@ def test_frames_are_those_of_the_recording_to_the_last_bit(long_walk: Path, long
     robot = lived(long_raws)
     require_same([frame for _, frame in robot.frames], SequenceReader(long_walk))
     assert [n for n, _ in robot.frames] == [1] * 30
-    assert robot.reader.camera.camera == CAMERA
+    assert robot.reader.camera == CAMERA
     assert close(robot.reader.base_from_camera, BASE_FROM_CAMERA)
     assert robot.reader.counts.as_json() == {"stated": 30, "read": 30, "used": 30, "skipped": {}}
     assert not robot.reader.skipped_messages
@@ -570,7 +570,7 @@ def test_topics_may_come_one_after_the_other(raws: list[RawMessage], walk_file: 
     for each, wanted in zip(said, ("no odometry topic", "no readable message on /odom", "no transform"), strict=True):
         assert wanted in each
     assert robot.times_ms == [100 * n for n in range(3, 12)]  # from where odometry was heard
-    assert robot.reader.camera.camera == CAMERA
+    assert robot.reader.camera == CAMERA
     require_same([frame for _, frame in robot.frames][1:], list(SequenceReader(walk_file))[4:])
 
 

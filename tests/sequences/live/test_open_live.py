@@ -108,7 +108,7 @@ def test_what_is_waited_for_is_said_until_all_is_there(wait: Wait) -> None:
     assert wait.now_s < 38 + WITHIN_S
     assert wait.changes == []
     assert {offer.topic for offer in wait.transport.subscribed} == set(TOPICS)
-    assert reader.camera.camera == CAMERA
+    assert reader.camera == CAMERA
 
 
 def test_the_reader_was_given_all_that_was_heard_meanwhile(wait: Wait, walk_file: Path) -> None:
