@@ -71,8 +71,8 @@ class ParticleLocalizer:
         """The posterior of one image (H, W, 3), uint8 RGB: the first half of `step`, one call of the model.
 
         An image that equals the one before it of its camera, pixel by pixel, comes from a camera that froze, and is
-        uninformative: no two exposures are equal. Its score stays: a black image is out of distribution however often it comes. Only
-        uint8 images are checked for repeats.
+        uninformative: no two exposures are equal. Its score stays: a black image is out of distribution however often
+        it comes. Only uint8 images are checked for repeats.
 
         Raises:
             VaporTrackError: there is no model, or it refuses the image.

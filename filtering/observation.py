@@ -82,7 +82,8 @@ class Observation:
         camera: str = ONLY_CAMERA,
     ) -> Observation:
         """One posterior, of the camera that is localized, or of another one that is fixed to it."""
-        view = View(posterior, reference_from_camera or Poses.identity(), camera)
+        mount = Poses.identity() if reference_from_camera is None else reference_from_camera
+        view = View(posterior, mount, camera)
         return Observation((view,), odometry, elapsed_s, time_ns)
 
     @property

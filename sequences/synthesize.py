@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -33,7 +33,7 @@ from sequences.paths import (
 from sequences.rendering.render import LitScene, render, sees_cue
 from sequences.scenes import find_scene
 from sequences.scenes.scene import SPLITS
-from sequences.writer import SequenceWriter
+from sequences.writer import MountedCamera, SequenceWriter
 
 
 def metered_exposure(radiance: np.ndarray) -> float:
@@ -83,6 +83,7 @@ class SyntheticSequence:
         world_from_base: True poses of the body at the odometry, batch (k,).
         seed: Names the sequence's sensor noise.
         rate_hz: Images a second.
+        others: base_from_camera of more cameras of the same make, by name; they take images at the same times.
     """
 
     scene: LitScene
@@ -96,13 +97,19 @@ class SyntheticSequence:
     world_from_base: Poses
     seed: np.random.SeedSequence
     rate_hz: float
+    others: Mapping[str, Poses] = field(default_factory=dict)
 
-    def images(self) -> Iterator[UInt8[np.ndarray, "height width 3"]]:
+    def images(self, camera: str | None = None) -> Iterator[UInt8[np.ndarray, "height width 3"]]:
         """The images in order, RGB, rendered one by one; every call gives the same bytes.
 
-        While the camera stands, light is traced once; auto exposure and sensor noise go on.
+        While the camera stands, light is traced once; auto exposure and sensor noise go on. `camera` is one of the
+        others, None for the first.
         """
-        rng = np.random.default_rng(self.seed)
+        seed, base_from_camera = self.seed, self.base_from_camera
+        if camera is not None:
+            base_from_camera = self.others[camera]
+            seed = np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, [*self.others].index(camera)))
+        rng = np.random.default_rng(seed)
         # Exposure follows in the same time at every rate: these are the fractions per tenth of a second.
         lag, keep = 0.75 ** (IMAGE_RATE_HZ / self.rate_hz), 0.97 ** (IMAGE_RATE_HZ / self.rate_hz)
         shake = 0.03 * np.sqrt((1 - keep**2) / (1 - 0.97**2))
@@ -111,7 +118,7 @@ class SyntheticSequence:
         for index in range(len(self.image_times_ns)):
             spread = EXPOSURE_S * ((np.arange(_SAMPLES) + 0.5) / _SAMPLES - 0.5)
             times = self.image_times_ns[index] + np.round(spread * 1e9).astype(np.int64)
-            poses = poses_at(self.odometry_times_ns, self.world_from_base, times) @ self.base_from_camera
+            poses = poses_at(self.odometry_times_ns, self.world_from_base, times) @ base_from_camera
             if traced_at is None or not _still(traced_at, poses):
                 traced_at, radiance = poses, render(self.scene, self.camera, poses, rng=rng)
             wanted = metered_exposure(radiance)
@@ -128,6 +135,7 @@ def _still(before: Poses, after: Poses) -> bool:
 SYNTHESIS = 1
 """Counts up when a seed gives other images, odometry or poses than before."""
 
+_MOST_CAMERAS = 8
 _RATES_HZ = (0.1, 200.0)
 _LONGEST_STAND_S = 86400.0
 _CLEARLY, _ONE_RAY = 0.015, 1e-9  # fractions of the image: with the second, a single coarse ray counts
@@ -146,6 +154,7 @@ def synthesize(
     noise: OdometryNoise | None = None,
     rate_hz: float | None = None,
     stand: Stand | None = None,
+    cameras: int = 1,
 ) -> SyntheticSequence:
     """A sequence through a scene.
 
@@ -162,6 +171,8 @@ def synthesize(
         rate_hz: Images a second; None for the scene's, 10 everywhere but in buildings. Path and odometry follow from
             seed and duration alone: every third of 900 images at 30 Hz is taken where and when one of 300 at 10 Hz is.
         stand: Where the camera stands still, and for how long; that adds images. Odometry goes on, noise and bias too.
+        cameras: Number of cameras: that of the scene, and others that are turned about the body's vertical axis, evenly
+            all round.
 
     Raises:
         SequenceError: an unknown scene, a size, seed, rate or stand that cannot be, or no path without anything unique
@@ -174,6 +185,8 @@ def synthesize(
             f"seed {seed}, {num_frames} frames of {width} × {height} pixels, expected a seed from 0, and at least one"
             " frame of 8 × 8"
         )
+    if not 1 <= cameras <= _MOST_CAMERAS:
+        raise SequenceError(f"{cameras} cameras, expected 1 to {_MOST_CAMERAS}")
     if not _RATES_HZ[0] <= rate_hz <= _RATES_HZ[1]:
         raise SequenceError(f"{rate_hz:g} images a second, expected {_RATES_HZ[0]:g} to {_RATES_HZ[1]:g}")
     if stand is not None and not (0 <= stand.image < num_frames and 0 < stand.duration_s <= _LONGEST_STAND_S):
@@ -226,6 +239,10 @@ def synthesize(
         world_from_base=base,
         seed=image_seed,
         rate_hz=rate_hz,
+        others={
+            f"camera_{number}": Poses.exp(np.array([0, 0, 0, 0, 0, 2 * np.pi * number / cameras])) @ base_from_camera
+            for number in range(1, cameras)
+        },
     )
 
 
@@ -253,16 +270,20 @@ def write_synthetic(
         SequenceError: the file cannot be written.
     """
     metadata = {"images": "synthetic", "odometry": "simulated with scale error, drift and noise, 50 Hz"}
+    others = {name: MountedCamera(sequence.camera, mount) for name, mount in sequence.others.items()}
     with SequenceWriter(
-        output, camera=sequence.camera, base_from_camera=sequence.base_from_camera, metadata=metadata
+        output, camera=sequence.camera, base_from_camera=sequence.base_from_camera, others=others, metadata=metadata
     ) as writer:
         written = 0
+        beside = {name: sequence.images(name) for name in sequence.others}
         for i, image in enumerate(sequence.images()):
             time_ns = int(sequence.image_times_ns[i])
             reached = int(np.searchsorted(sequence.odometry_times_ns, time_ns, side="right"))
             _write_odometry(writer, sequence, range(written, reached))
             written = reached
             writer.write_image(time_ns, image)
+            for name, images in beside.items():
+                writer.write_image(time_ns, next(images), name)
             writer.write_true_pose(time_ns, sequence.world_from_camera[i])
             progress(i + 1, len(sequence.image_times_ns))
         _write_odometry(writer, sequence, range(written, len(sequence.odometry_times_ns)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -16,7 +17,6 @@ from sequences.images.undistortion import Lens, pinhole_of
 from sequences.recordings.bag import METADATA_NAME, Bag
 from sequences.recordings.mcap_writer import (
     BASE_FRAME,
-    CAMERA_FRAME,
     MAP_FRAME,
     ODOM_FRAME,
     MessageWriter,
@@ -26,14 +26,23 @@ from sequences.recordings.mcap_writer import (
 )
 
 _JPEG_QUALITY = 92  # of images that are given as pixels
+_CAMERA = "camera"
+
+
+@dataclass(frozen=True)
+class MountedCamera:
+    """A camera on a robot: intrinsics of its images, with the distortion of a lens, and base_from_camera, one pose."""
+
+    lens: Camera | Lens
+    base_from_camera: Poses
 
 
 class SequenceWriter(MessageWriter):
     """Writes a sequence that `SequenceReader`, ROS 2 and Foxglove read; use it in a `with` statement.
 
     Topics: `/camera/image/compressed`, `/camera/camera_info`, `/odom` (odom -> base_link), `/ground_truth/pose` (of the
-    camera, in map), `/tf_static` (base_link -> camera_optical_frame). Messages are logged at their stamps; write them
-    roughly in order of time, so that readers need to hold little.
+    camera, in map), `/tf_static` (base_link -> camera_optical_frame); of another camera the same under its own name.
+    Messages are logged at their stamps; write them roughly in order of time, so that readers need to hold little.
     """
 
     def __init__(
@@ -42,6 +51,7 @@ class SequenceWriter(MessageWriter):
         *,
         camera: Camera | Lens,
         base_from_camera: Poses,
+        others: Mapping[str, MountedCamera] = {},
         metadata: Mapping[str, str] = {},
     ):
         """Set up a writer; the file is opened on entering the `with` statement.
@@ -50,11 +60,11 @@ class SequenceWriter(MessageWriter):
             path: File to write.
             camera: Intrinsics of the images as they are written, with the distortion of a lens.
             base_from_camera: Extrinsics, one pose.
+            others: More cameras, by names that are not "camera".
             metadata: Of the file; `images` and `odometry` state their sources.
         """
         super().__init__(path)
-        self._camera = camera
-        self._base_from_camera = base_from_camera
+        self._cameras = {_CAMERA: MountedCamera(camera, base_from_camera), **others}
         self._metadata = dict(metadata)
         self._has_tf = False
 
@@ -64,21 +74,22 @@ class SequenceWriter(MessageWriter):
             self._writer.add_metadata(METADATA_NAME, self._metadata)
         return self
 
-    def write_image(self, time_ns: int, image_rgb: UInt8[np.ndarray, "height width 3"]) -> None:
+    def write_image(self, time_ns: int, image_rgb: UInt8[np.ndarray, "height width 3"], camera: str = _CAMERA) -> None:
         """Write an image as JPEG."""
         bgr = cv2.cvtColor(image_rgb, cv2.COLOR_RGB2BGR)
         encoded, data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
         if not encoded:
             raise SequenceError(f"{self.path}: image at {time_ns} ns of shape {image_rgb.shape} cannot be encoded")
-        self.write_encoded_image(time_ns, data.tobytes(), "jpeg")
+        self.write_encoded_image(time_ns, data.tobytes(), "jpeg", camera)
 
-    def write_encoded_image(self, time_ns: int, data: bytes, format: str) -> None:
+    def write_encoded_image(self, time_ns: int, data: bytes, format: str, camera: str = _CAMERA) -> None:
         """Write the bytes of a JPEG or PNG as they are; `format` is "jpeg" or "png"."""
-        header = self._header(time_ns, CAMERA_FRAME)
+        header = self._header(time_ns, _optical_frame(camera))
         image = {"header": header, "format": format, "data": data}
-        self._write("/camera/image/compressed", "sensor_msgs/CompressedImage", image, time_ns)
-        lens = self._camera if isinstance(self._camera, Lens) else Lens(self._camera, "plumb_bob", (0.0,) * 5)
-        c, p, d = lens.camera, pinhole_of(self._camera), list(lens.coefficients)
+        self._write(f"/{camera}/image/compressed", "sensor_msgs/CompressedImage", image, time_ns)
+        stated = self._cameras[camera].lens
+        lens = stated if isinstance(stated, Lens) else Lens(stated, "plumb_bob", (0.0,) * 5)
+        c, p, d = lens.camera, pinhole_of(stated), list(lens.coefficients)
         if lens.model == "equidistant" and not any(d):
             d[-1] = 1e-12  # zeros would mean no distortion
         info = {
@@ -91,7 +102,7 @@ class SequenceWriter(MessageWriter):
             "r": [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
             "p": [p.fx, 0.0, p.cx, 0.0, 0.0, p.fy, p.cy, 0.0, 0.0, 0.0, 1.0, 0.0],
         }
-        self._write("/camera/camera_info", "sensor_msgs/CameraInfo", info, time_ns)
+        self._write(f"/{camera}/camera_info", "sensor_msgs/CameraInfo", info, time_ns)
 
     def write_odometry(self, time_ns: int, odom_from_base: Poses, twist_covariance: Float64[np.ndarray, "6 6"]) -> None:
         """Write one odometry message.
@@ -118,9 +129,16 @@ class SequenceWriter(MessageWriter):
         """A header; the static transform goes out with the first message, which has a stamp to give it."""
         if not self._has_tf:
             self._has_tf = True
-            transform = ros_transform(time_ns, BASE_FRAME, CAMERA_FRAME, ros_poses(self._base_from_camera))
-            self._write("/tf_static", "tf2_msgs/TFMessage", {"transforms": [transform]}, time_ns)
+            transforms = [
+                ros_transform(time_ns, BASE_FRAME, _optical_frame(name), ros_poses(camera.base_from_camera))
+                for name, camera in self._cameras.items()
+            ]
+            self._write("/tf_static", "tf2_msgs/TFMessage", {"transforms": transforms}, time_ns)
         return ros_header(time_ns, frame_id)
+
+
+def _optical_frame(camera: str) -> str:
+    return f"{camera}_optical_frame"
 
 
 def is_own_sequence(path: Path) -> bool:

@@ -43,6 +43,8 @@ class Options:
     """Image width in pixels."""
     height: int = 240
     """Image height in pixels."""
+    cameras: int = 1
+    """Number of cameras: the scene's, and others turned about the vertical, evenly all round."""
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -59,6 +61,7 @@ def main(arguments: Sequence[str]) -> None:
             width=o.width,
             height=o.height,
             rate_hz=o.rate,
+            cameras=o.cameras,
         )
     except SequenceError as error:  # of numbers that no sequence can have
         usage_error("synthesize", str(error))
