@@ -15,6 +15,8 @@ from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from filtering.unchecked import unchecked_replace
 
+_AGREEMENT_VIEWS = 5.0  # new views over which the agreement of a camera is averaged
+
 
 @dataclass(frozen=True)
 class Source:
@@ -83,10 +85,17 @@ class CameraMemory:
     Attributes:
         sources: Of its places, by the numbers of `PosePosterior.sources`: its network, and landmarks if there is a map.
         reference_from_camera: Its extrinsics at its last image.
+        agreement: Fraction of the belief that fits its latest new views, in [0, 1].
     """
 
     sources: tuple[Source, ...]
     reference_from_camera: Poses
+    agreement: float = 1.0
+
+    def after_view(self, fits: float, novelty: float) -> CameraMemory:
+        """After a view of this novelty, in [0, 1], that fits so much of the belief."""
+        follow = novelty / _AGREEMENT_VIEWS
+        return unchecked_replace(self, agreement=self.agreement + follow * (fits - self.agreement))
 
     @staticmethod
     def first_seen(view: View, number: int, *, unknown: float, adapts: bool) -> CameraMemory:

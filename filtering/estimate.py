@@ -168,6 +168,7 @@ class Estimate:
         ood_score: Of the image, see `PosePosterior`; 0 where there was none.
         odometry_scale_error: Found in the odometry: where it is positive, reported distances are too long.
         gap_motion: How the camera moved in this step, where odometry was missing.
+        left_out: Names of the cameras of this step whose views fit nowhere while those of the others fit.
     """
 
     modes: tuple[Mode, ...]
@@ -183,6 +184,7 @@ class Estimate:
     ood_score: float
     odometry_scale_error: float = 0.0
     gap_motion: GapMotion | None = None
+    left_out: tuple[str, ...] = ()
 
     @property
     def effective_sample_size(self) -> float:

@@ -54,6 +54,8 @@ class FilterStep:
     def of(observation: Observation, estimate: Estimate) -> FilterStep:
         """Of an observation, and the filter's estimate after it."""
         posterior = observation.posterior
+        if observation.views and observation.views[0].camera in estimate.left_out:
+            posterior = posterior.without_places()
         kept = posterior.heaviest(_MOST_PLACES)
         weights = np.exp(estimate.log_weights)
         heavy = weights >= min(_LEAST_WEIGHT, weights.max())

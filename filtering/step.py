@@ -38,6 +38,7 @@ from filtering.prediction import predict as predict_hypotheses
 from filtering.unchecked import unchecked_replace
 
 _USUAL_S = 10.0  # time over which the usual agreement is averaged
+_DISAGREES = 0.5  # of the agreement of the other cameras, below which a camera is left out
 
 
 def step(belief: Belief, observation: Observation, config: LocalizerConfig) -> tuple[Belief, Estimate]:
@@ -57,8 +58,12 @@ def step(belief: Belief, observation: Observation, config: LocalizerConfig) -> t
     belief = with_cameras(belief, informative, config)
     used: list[UsedView] = []
     for view in informative:
-        belief, used_view = measure(belief, view, config)
-        used.append(used_view)
+        after, used_view = measure(belief, view, config)
+        if disagrees(belief, view.camera, config):  # its views are followed, as it may recover, but do not count
+            belief = belief.with_camera(view.camera, after.cameras[view.camera])
+        else:
+            belief = after
+            used.append(used_view)
     novelty = max([novelty, *(each.novelty for each in used)])
     belief = add_births(belief, used, novelty, config)
     if informative or novelty > 0.0:
@@ -197,6 +202,7 @@ def measure(belief: Belief, view: View, config: LocalizerConfig) -> tuple[Belief
     pairs = gate(hypotheses, posterior, correlations)
     known = belief.known.innovated(hypotheses, pairs, noise_of(belief), config.modes)
     found = evidence(hypotheses, posterior, pairs, config.outlier_places)
+    camera = camera.after_view(found.agreement, novelty)
     hypotheses = hypotheses.reweighted(likelihood_power * found.log_likelihood)
     # What is unassigned may be at any place of the image.
     assigned = (1.0 - belief.unassigned) * float(np.exp(log_sum(hypotheses.log_weights)))
@@ -210,6 +216,18 @@ def measure(belief: Belief, view: View, config: LocalizerConfig) -> tuple[Belief
         calibrated=posterior.calibrated,
     )
     return belief, UsedView(posterior, camera, novelty, likelihood_power, float(np.log(total)), found.agreement)
+
+
+def disagrees(belief: Belief, name: str, config: LocalizerConfig) -> bool:
+    """Whether a camera's views fit hardly ever while those of the others fit, as with a wrong mount or clock."""
+    others = agreement_of_others(belief, name)
+    return others >= config.converged_agreement and belief.cameras[name].agreement < _DISAGREES * others
+
+
+def agreement_of_others(belief: Belief, name: str) -> float:
+    """The average agreement of all cameras but one, in [0, 1]; 0 where there is no other."""
+    others = [camera.agreement for other, camera in belief.cameras.items() if other != name]
+    return float(np.mean(others)) if others else 0.0
 
 
 def add_births(belief: Belief, used: Sequence[UsedView], novelty: float, config: LocalizerConfig) -> Belief:
@@ -261,8 +279,14 @@ def reduce(belief: Belief, config: LocalizerConfig) -> Belief:
 def follow_agreement(
     belief: Belief, used: Sequence[UsedView], views: Sequence[View], config: LocalizerConfig
 ) -> Belief:
-    """Average the fraction of the belief that fits the latest images; nothing fits one out of distribution."""
-    out_of_distribution = sum(view.posterior.is_out_of_distribution for view in views)
+    """Average the fraction of the belief that fits the latest images.
+
+    Nothing fits an image out of distribution; it counts where those of other cameras do not fit either.
+    """
+    out_of_distribution = sum(
+        view.posterior.is_out_of_distribution and agreement_of_others(belief, view.camera) < config.lost_agreement
+        for view in views
+    )
     if not used and not out_of_distribution:
         return belief
     per_image = 1.0 / config.agreement_images
@@ -367,6 +391,9 @@ def describe(
         max((view.posterior.ood_score for view in views), default=0.0),
         float(odometry_bias_of(hypotheses)[0][0]),
         belief.gap_motion,
+        tuple(
+            view.camera for view in views if view.camera in belief.cameras and disagrees(belief, view.camera, config)
+        ),
     )
     return unchecked_replace(belief, known=unchecked_replace(known, best=modes[0].identity)), estimate
 

@@ -3,14 +3,21 @@
 import numpy as np
 import pytest
 
+from filtering.config import LocalizerConfig
 from filtering.errors import VaporTrackError
+from filtering.fixed_lag import FixedLagSmoother
+from filtering.hindsight import FilterStep
+from filtering.kalman import KalmanLocalizer
 from filtering.localizer import ParticleLocalizer
-from filtering.observation import View
+from filtering.motion import Odometry
+from filtering.observation import Observation, View
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
+from filtering.smoothing import SmoothingConfig, smooth
 from tests.helpers.simulation import (
     AHEAD,
     ERRORS,
+    OUT_OF_DISTRIBUTION,
     RNG,
     STAY,
     STD,
@@ -94,3 +101,115 @@ def test_a_rig_begins_at_its_first_view_that_has_places():
     ]
     estimate = ParticleLocalizer(None, rng=np.random.default_rng(0)).update(views, None)
     np.testing.assert_allclose(estimate.modes[0].world_from_camera.translation, 0.0, atol=1e-9)
+
+
+def circling(localizer, mounts, *, count=60, wrong=None, rng=None, dark=(), std=STD):
+    """A walk with a camera at each mount, image by image; the stated mount of one is `wrong`."""
+    rng, pose, estimates = rng or RNG(0), Poses.identity(), []
+    for _ in range(count):
+        pose = pose @ AHEAD.previous_from_current
+        for name, mount in mounts.items():
+            stated = mount @ wrong[name] if wrong and name in wrong else mount
+            place = pose @ mount @ Poses.exp(std * rng.normal(size=6))
+            seen = OUT_OF_DISTRIBUTION if name in dark else seen_at(place, std=std)
+            observation = Observation.of_posterior(
+                seen, AHEAD if name == "front" else Odometry.still(0.0), 0.1, reference_from_camera=stated, camera=name
+            )
+            estimates.append((pose, localizer.advance(observation)))
+    return estimates
+
+
+RIG = {"front": FRONT, "back": BACK, "side": Poses.exp(np.array([0, 0, 0.2, 0, 0, 1.5]))}
+
+
+@pytest.mark.parametrize(("turned_deg", "std"), [(57.0, STD), (172.0, STD), (10.0, 0.1 * STD)])
+def test_a_camera_with_a_wrong_mount_is_left_out_and_the_others_decide(turned_deg, std):
+    wrong = {"side": Poses.exp(np.array([0, 0, 0, 0, 0, np.radians(turned_deg)]))}
+    estimates = circling(new_localizer(), RIG, wrong=wrong, std=std)
+    for pose, estimate in estimates[90:]:
+        assert estimate.modes[0].world_from_camera.distance(pose)[0] < 0.3
+        assert estimate.status == "converged"
+    assert [estimate.left_out for _, estimate in estimates[-3:]] == [(), (), ("side",)]
+
+
+def test_a_covered_camera_does_not_keep_the_others_from_being_sure():
+    for dark in (["side"], ["back", "side"]):
+        estimates = circling(new_localizer(), RIG, dark=dark)
+        assert {estimate.status for _, estimate in estimates[60:]} == {"converged"}
+
+
+def test_a_camera_counts_again_once_its_views_fit():
+    localizer = new_localizer()
+    circling(localizer, RIG, wrong={"side": Poses.exp(np.array([0, 0, 0, 0, 0, 2.0]))}, count=40)
+    pose, rng, left_out = localizer.predict(STAY).modes[0].world_from_camera, RNG(3), []
+    for _ in range(60):
+        pose = pose @ AHEAD.previous_from_current
+        for name, mount in RIG.items():
+            seen = seen_at(pose @ mount @ Poses.exp(STD * rng.normal(size=6)))
+            odometry = AHEAD if name == "front" else Odometry.still(0.0)
+            view = Observation.of_posterior(seen, odometry, 0.1, reference_from_camera=mount, camera=name)
+            left_out.append("side" in localizer.advance(view).left_out)
+    assert any(left_out[:6])
+    assert not any(left_out[-90:])
+
+
+def test_cameras_that_all_see_another_place_are_believed():
+    localizer = new_localizer()
+    circling(localizer, RIG)
+    elsewhere, rng = Poses.exp(np.array([40.0, 0, 0, 0, 0, 0])), RNG(5)
+    for _ in range(120):
+        elsewhere = elsewhere @ AHEAD.previous_from_current
+        for name, mount in RIG.items():
+            seen = seen_at(elsewhere @ mount @ Poses.exp(STD * rng.normal(size=6)))
+            odometry = AHEAD if name == "front" else Odometry.still(0.0)
+            view = Observation.of_posterior(seen, odometry, 0.1, reference_from_camera=mount, camera=name)
+            estimate = localizer.advance(view)
+    assert estimate.modes[0].world_from_camera.distance(elsewhere)[0] < 0.3
+    assert estimate.status == "converged"
+
+
+def test_in_hindsight_the_errors_of_each_camera_are_its_own():
+    """Three cameras whose errors last are worth three images; one camera that takes three images is worth one."""
+    std_m = []
+    for names in (["front"] * 3, ["front", "back", "side"]):
+        localizer, steps = new_localizer(), []
+        for i in range(30):
+            for j, name in enumerate(names):
+                observation = Observation.of_posterior(
+                    seen_at(Poses.identity()), Odometry.still(0.0) if i + j else None, camera=name
+                )
+                steps.append(FilterStep.of(observation, localizer.advance(observation)))
+        lagged = FixedLagSmoother(1.0, ERRORS)
+        poses = [pose for step in steps for pose in lagged.update(step)] + lagged.finish()
+        smoothed = smooth(steps, ERRORS, SmoothingConfig.of_filter(LocalizerConfig())).best
+        std_m.append([np.sqrt(each[0, 0]) for each in (smoothed.covariance[45], poses[45].covariance)])
+    lasting = ERRORS.correlated_fraction
+    for one, three in zip(*std_m, strict=True):
+        expected = np.sqrt((lasting / 3 + (1 - lasting) / 90) / (lasting + (1 - lasting) / 90))
+        assert three / one == pytest.approx(expected, rel=0.2)
+
+
+def test_the_kalman_filter_has_the_camera_that_is_localized():
+    kalman, alone = KalmanLocalizer(), KalmanLocalizer()
+    rng, pose = RNG(0), Poses.identity()
+    for i in range(10):
+        pose = pose @ AHEAD.previous_from_current
+        seen = Observation.of_posterior(seen_at(pose @ Poses.exp(STD * rng.normal(size=6))), AHEAD if i else None, 0.1)
+        other = seen_at(pose @ BACK)
+        both = kalman.advance(seen)
+        expected = alone.advance(seen)
+        np.testing.assert_allclose(both.world_from_camera.as_matrix(), expected.world_from_camera.as_matrix())
+        kalman.advance(
+            Observation.of_posterior(other, Odometry.still(0.0), 0.0, reference_from_camera=BACK, camera="back")
+        )
+
+
+def test_a_frozen_camera_is_told_from_its_own_last_image_only():
+    class Seen:
+        def observe(self, image, *, rng):
+            return seen_at(Poses.identity())
+
+    localizer, image = ParticleLocalizer(Seen(), rng=RNG(0)), np.full((4, 4, 3), 7, np.uint8)
+    assert not localizer.observe(image, camera="left").is_uninformative
+    assert not localizer.observe(image, camera="right").is_uninformative
+    assert localizer.observe(image, camera="left").is_uninformative

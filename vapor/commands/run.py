@@ -91,6 +91,9 @@ def show_run(result: RunResult, output: Path, *, title: str, recording: bool, la
         show(format_table(report, title=title, large_errors=large_errors))
     status = ", ".join(f"{100 * fraction:.0f} % {name}" for name, fraction in report["status"].items())
     show(f"{report['frames']} images: {status}")
+    for name, each in report.get("cameras", {}).items():
+        left_out = f", {each['left_out']} left out" if each["left_out"] else ""
+        show(f"camera     {name}: {each['images']} images{left_out}")
     if "verified" in report:
         show(f"landmarks  verify a place in {100 * report['verified']:.0f} % of the images")
     show(f"images     {count_images(report['images'])}")

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Generic, TypeVar
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64, UInt8
+from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 
 from filtering.errors import VaporTrackError
 from filtering.estimate import Estimate, Mode, Status
@@ -172,6 +172,8 @@ class RunRecord:
         storey_belief: Fraction of the filter's belief on each of the f storeys, (n, f); None without storeys.
         num_verified: Number of images in which landmarks verified a place; None without a map of landmarks.
         landmarks: The landmarks in one of these images; None without any.
+        cameras: Name of the camera of each image, n; all '' where there is one.
+        left_out: Whether the image did not count, as its camera's fit nowhere where those of the others fit, (n,).
     """
 
     times_ns: Int64[np.ndarray, " n"]
@@ -199,6 +201,8 @@ class RunRecord:
     storey_belief: Float64[np.ndarray, "n f"] | None = None
     num_verified: int | None = None
     landmarks: ShownLandmarks | None = None
+    cameras: tuple[str, ...] = ()
+    left_out: Bool[np.ndarray, " n"] = field(default_factory=lambda: np.zeros(0, bool))
 
     def in_hindsight(self, look_back: LookBack) -> RunRecord:
         """The same with the run in hindsight, and its trajectories among the methods."""
@@ -217,6 +221,7 @@ class RunRecorder:
         self._truth: list[tuple[int, Poses]] = []
         self._covariance: list[np.ndarray] = []
         self._status: list[Status] = []
+        self._cameras: list[tuple[str, bool]] = []  # of each image, and whether it was left out
         self._numbers: list[tuple[float, ...]] = []
         self._keyframes: list[Keyframe] = []
         self._moments: EvenlySpaced[Moment] = EvenlySpaced(MOST_MOMENTS)
@@ -238,6 +243,7 @@ class RunRecorder:
             self._poses.setdefault(name, []).append(modes[0].world_from_camera)
         self._covariance.append(best.covariance)
         self._status.append(estimate.status)
+        self._cameras.append((frame.camera_name, bool(estimate.left_out)))
         self._numbers.append(
             (
                 len(estimate.modes),
@@ -307,4 +313,6 @@ class RunRecorder:
             skipped=dict(sorted((skipped or {}).items())),
             images=images,
             peak_rss_mb=peak_rss_mb,
+            cameras=tuple(name for name, _ in self._cameras),
+            left_out=np.array([left_out for _, left_out in self._cameras], bool),
         )

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 FITS = 0.7
+_LEFT_OUT = 0.2  # of the images of a camera, from which on a notice says so
 """Fraction of the images about a smoothed pose that must fit it, as for the filter's to be `converged`."""
 
 
@@ -63,6 +64,12 @@ def build_report(record: RunRecord) -> dict[str, Any]:
         "peak_rss_mb": record.peak_rss_mb,
         "storeys": None,
     }
+    if len(names := dict.fromkeys(record.cameras)) > 1:
+        report["cameras"] = {
+            name: {"images": len(own), "left_out": int(record.left_out[own].sum())}
+            for name in names
+            for own in [np.flatnonzero([each == name for each in record.cameras])]
+        }
     if record.num_verified is not None:
         report["verified"] = record.num_verified / len(record.times_ns)
     if record.storeys is not None and record.storey_belief is not None:
@@ -107,6 +114,16 @@ def doubtful_notice(record: RunRecord) -> str | None:
     return f"{doubts.sum()} of {len(doubts)} smoothed poses are doubtful: images about them do not fit (status.csv)"
 
 
+def left_out_notices(report: Mapping[str, Any]) -> list[str]:
+    """A warning of each camera whose images did not count for the most part."""
+    return [
+        f"{name}: {each['left_out']} of its {each['images']} images were left out, as they fit nowhere where those of"
+        " the other cameras fit: expected its mount (tf), intrinsics and clock to be right, and a clean lens"
+        for name, each in report.get("cameras", {}).items()
+        if each["left_out"] > _LEFT_OUT * each["images"]
+    ]
+
+
 def write_report(path: Path, report: Mapping[str, Any]) -> None:
     """Write a report as JSON, keys sorted; the file appears under its name only when complete."""
     text = json.dumps(_rounded(report), indent=2, sort_keys=True, allow_nan=False) + "\n"
@@ -122,7 +139,7 @@ def write_status(path: Path, record: RunRecord) -> None:
     `Estimate`. `innovation`: normalised innovation squared of the best mode per degree of freedom; empty without one.
     `smoothed`: whether the images about the smoothed pose fit it, `fits` or `doubtful`; or `ambiguous` where the second
     trajectory is at another place. `smoothed_std_m`, `smoothed_std_deg`: of the smoothed pose. `carried_off`: 1 where
-    the camera was carried off before the image.
+    the camera was carried off before the image. `camera`: that of the image, where there are several.
     """
     columns = [format_time(time_ns) for time_ns in record.times_ns.tolist()], record.status, *_widest(record.covariance)
     columns += tuple([f"{each:.4f}" for each in values] for values in (record.unassigned, record.log_likelihood))
@@ -132,9 +149,11 @@ def write_status(path: Path, record: RunRecord) -> None:
     else:
         fits = np.where(back.agreement < FITS, "doubtful", np.where(back.ambiguous, "ambiguous", "fits"))
         columns += (fits, *_widest(back.trajectories["smoothed"].covariance), back.carried_off.astype(int))
-    with atomic_output(path) as partial, open(partial, "w", encoding="ascii") as file:
+    columns += (record.cameras or [""] * len(record.times_ns),)
+    with atomic_output(path) as partial, open(partial, "w", encoding="utf-8") as file:
         file.write(
-            "time,status,std_m,std_deg,unassigned,log_likelihood,innovation,smoothed,smoothed_std_m,smoothed_std_deg,carried_off\n"
+            "time,status,std_m,std_deg,unassigned,log_likelihood,innovation,smoothed,smoothed_std_m,smoothed_std_deg,"
+            "carried_off,camera\n"
         )
         file.writelines(",".join(map(str, row)) + "\n" for row in zip(*columns, strict=True))
 

@@ -17,7 +17,7 @@ from filtering.localizer import ParticleLocalizer
 from filtering.measurement_noise import MeasurementNoise
 from filtering.motion import Odometry
 from filtering.novelty import NoveltyTracker
-from filtering.observation import Observation
+from filtering.observation import ONLY_CAMERA, Observation
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from sequences.frame import Frame
@@ -106,8 +106,9 @@ class LiveBelief:
         self._smoother = None if lag_s == 0.0 else fixed_lag_smoother(errors, localizer.config, lag_s)
         self._waiting: deque[int] = deque()  # stamps of images whose fixed-lag pose is to come
         self._lagged: list[tuple[int, LaggedPose]] = []
-        self._views = NoveltyTracker(noise.length_m, noise.length_rad)
-        self._verified_s = -np.inf  # when landmarks were last looked for, of `time.monotonic`
+        self._new_view = NoveltyTracker(noise.length_m, noise.length_rad)
+        self._views: dict[str, NoveltyTracker] = {}  # since landmarks were last looked for, by camera
+        self._verified_s: dict[str, float] = {}  # when that was, of `time.monotonic`
         self._ahead_ns = 0  # the filter's clock, which is never set, ahead of the stamps
 
     def observe(self, frame: Frame) -> PosePosterior:
@@ -117,21 +118,22 @@ class LiveBelief:
         """
         self._model.camera = frame.camera  # which may zoom
         self._model.verifies = self._model.verifier is None or self._is_new(frame)
-        posterior = self.localizer.observe(frame.image)
+        posterior = self.localizer.observe(frame.image, camera=frame.camera_name or ONLY_CAMERA)
         return posterior if self._model.verifies else posterior.without_places()
 
     def _is_new(self, frame: Frame) -> bool:
         """Whether to look for landmarks: the belief is unsure, or motion or a second passed since the last time."""
-        motion, newest_ns = frame.odometry, self.reader.frame_ns
+        motion, newest_ns, camera = frame.odometry, self.reader.frame_ns, frame.camera_name
         is_late = newest_ns is not None and frame.time_ns < newest_ns  # its motion is part of one that was added
         if motion is not None and not is_late:
-            self._views, _ = self._views.predict(motion.previous_from_current)
-        now_s = time.monotonic()
-        anchor, lately = self.anchor, now_s - self._verified_s < _VERIFIED_S
+            step = motion.previous_from_current
+            self._views = {name: views.predict(step)[0] for name, views in self._views.items()}
+        views, now_s = self._views.get(camera, self._new_view), time.monotonic()
+        anchor, lately = self.anchor, now_s - self._verified_s.get(camera, -np.inf) < _VERIFIED_S
         sure = anchor is not None and anchor.estimate.status == "converged" and anchor.estimate.agreement >= _FITS
-        if sure and motion is not None and lately and self._views.normalized_distance < _NEW_VIEW:
+        if sure and motion is not None and lately and views.normalized_distance < _NEW_VIEW:
             return False
-        self._views, self._verified_s = self._views.observe()[0], now_s
+        self._views[camera], self._verified_s[camera] = views.observe()[0], now_s
         return True
 
     def update(self, job: Job, posterior: PosePosterior) -> Anchor:
@@ -144,7 +146,14 @@ class LiveBelief:
         ahead_ns = self._ahead_of(frame.time_ns, job.reading, job.began_s - (0.0 if anchor is None else anchor.began_s))
         odometry, time_ns = self._restated(frame.odometry), frame.time_ns + ahead_ns
         elapsed_s = 0.0 if anchor is None else max(time_ns - anchor.time_ns - self._ahead_ns, 0) * 1e-9
-        observation = Observation.of_posterior(posterior, odometry, elapsed_s, time_ns)
+        observation = Observation.of_posterior(
+            posterior,
+            odometry,
+            elapsed_s,
+            time_ns,
+            reference_from_camera=frame.reference_from_camera,
+            camera=frame.camera_name or ONLY_CAMERA,
+        )
         estimate = self.localizer.advance(observation)
         self._ahead_ns = ahead_ns
         if anchor is not None and anchor.reading == job.reading and frame.time_ns < anchor.time_ns:  # it was late
@@ -195,7 +204,7 @@ class LiveBelief:
         self.anchor = self.now = None
         self._end_lag()
         self._ahead_ns = 0
-        self._verified_s = -np.inf
+        self._verified_s.clear()
         if time_ns is not None:
             self.reader.settle(time_ns)
 
@@ -209,7 +218,7 @@ class LiveBelief:
         motion, odom_from_base = self._restated(reader.moved_until(settled_ns)), reader.odom_from_base(settled_ns)
         reader.settle(settled_ns)
         self._end_lag()
-        self._verified_s = -np.inf  # its motion until then comes with no image
+        self._verified_s.clear()  # its motion until then comes with no image
         if anchor is None:
             return
         self._ahead_ns = self._ahead_of(settled_ns, reader.readings, _SETTLE_S)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from collections.abc import Collection
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from sequences.reading.counts import OVERTAKEN
 from vapor.robot.belief import Anchor
 from vapor.robot.recorder import MessageRecorder
 
-_SILENT_S = 1.0
+_SILENT_S, _CAMERA_SILENT_S = 1.0, 5.0  # of all images, and of one camera among several
 _ODOMETRY_SILENT_S = 0.5
 _LATENCIES = 1000
 _REFUSED = "refused"
@@ -28,12 +29,18 @@ class Health:
         self.recorder: MessageRecorder | None = None
         self.localized = self.refused = 0
         self._image_s = self._odometry_s = time.monotonic()
+        self._images_s: dict[str, float] = {}  # by camera
+        self._left_out: set[str] = set()
         self._latencies_ms: deque[float] = deque(maxlen=_LATENCIES)
         self._noticed: set[str] = set()
 
-    def image_came(self) -> None:
+    def image_came(self, camera: str) -> None:
         """Note an image, used or not."""
-        self._image_s = time.monotonic()
+        self._image_s = self._images_s[camera] = time.monotonic()
+
+    def left_out(self, cameras: Collection[str]) -> None:
+        """Note cameras whose latest image did not count."""
+        self._left_out |= set(cameras)
 
     def odometry_came(self) -> None:
         """Note later odometry."""
@@ -96,6 +103,15 @@ class Health:
             if reason not in _USUAL
         }
         notices |= {notice: notice for lens in reader.lenses.values() for notice in lens.notices}
+        now_s = time.monotonic()
+        for name in reader.lenses if len(reader.lenses) > 1 and now_s - self._image_s < _SILENT_S else ():
+            if now_s - self._images_s.setdefault(name, now_s) > _CAMERA_SILENT_S:
+                notices[f"silent {name}"] = f"no image of {name} for {_CAMERA_SILENT_S:g} s: the other cameras go on"
+        for name in self._left_out:
+            notices[f"left out {name}"] = (
+                f"images of {name} are left out, as they fit nowhere where those of the other cameras fit: expected its"
+                " mount (tf), intrinsics and clock to be right, and a clean lens"
+            )
         if self.recorder is not None and self.recorder.error is not None:
             notices[self.recorder.error] = self.recorder.error
         if reader.apart is not None and reader.counts.read > _ENOUGH_IMAGES:

@@ -239,7 +239,7 @@ class LiveSession:
             elif (raw := self._admit(event)) is not None:
                 is_later = belief.reader.take(raw)
                 if raw.topic in belief.reader.lenses:
-                    self._health.image_came()
+                    self._health.image_came(raw.topic)
                 elif is_later:
                     self._health.odometry_came()
 
@@ -348,6 +348,7 @@ class LiveSession:
         self._publisher.send_motion(belief, self._network.job)
         latency_ms = (self._now_ns() - job.arrived_ns) * 1e-6
         self._health.image_was_localized(latency_ms)
+        self._health.left_out(anchor.estimate.left_out)
         estimate, frame = anchor.estimate, anchor.frame
         assert frame is not None
         if self._viewer is not None and frame is job.frame:

@@ -158,7 +158,7 @@ def test_the_status_says_of_every_pose_what_is_to_be_thought_of_it(finished):
         "log_likelihood",
         "innovation",
         "smoothed",
-        *("smoothed_std_m", "smoothed_std_deg", "carried_off"),
+        *("smoothed_std_m", "smoothed_std_deg", "carried_off", "camera"),
     ]
     lines = (finished.directory / "smoothed.tum").read_text().splitlines()
     assert [row["time"] for row in rows] == [line.split()[0] for line in lines]

@@ -210,6 +210,10 @@ def _storeys(storeys: Mapping[str, Any]) -> list[Block]:
 def _counts(report: Mapping[str, Any]) -> Block:
     step = report["step_ms"]
     rows = [("images localized", str(report["frames"])), ("with a true pose", str(report["frames_with_true_pose"]))]
+    rows += [
+        (f"of {name}", f"{each['images']}" + (f", {each['left_out']} left out" if each["left_out"] else ""))
+        for name, each in report.get("cameras", {}).items()
+    ]
     rows += [(f"skipped, {reason}", str(number)) for reason, number in report["skipped"].items()]
     rows += [
         ("hypotheses, median", str(report["particles"])),

@@ -1,0 +1,54 @@
+"""The walk of `sequence_files`, recorded by several cameras."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from filtering.se3 import Poses
+from sequences.frame import Camera
+from sequences.writer import MountedCamera, SequenceWriter
+from tests.helpers.sequence_files import BASE_FROM_CAMERA, CAMERA, Walk, picture
+
+FRONT, LEFT, RIGHT = (f"/{name}/image/compressed" for name in ("camera", "left", "right"))
+WIDE = Camera(64, 32, 30.0, 31.0, 31.5, 15.5)
+CAMERA_FROM_LEFT = Poses.exp(np.array([-0.2, 0.05, -0.1, 0.1, -1.4, 0.2]))
+CAMERA_FROM_RIGHT = Poses.exp(np.array([0.2, 0.05, -0.1, 0.1, 1.3, 0.1]))
+MOUNTS = {"left": CAMERA_FROM_LEFT, "right": CAMERA_FROM_RIGHT}
+LENSES = {"left": WIDE, "right": CAMERA}
+
+
+@dataclass
+class Rig:
+    """What the other cameras do: the images of each that it takes, and how much later than the first camera."""
+
+    later_ns: Mapping[str, int]
+    every: Mapping[str, int]
+
+    def write(self, path: Path, walk: Walk | None = None, spoilt: str = "") -> Path:
+        """Write the walk; images of a spoilt camera cannot be decoded."""
+        walk = walk or Walk()
+        others = {name: MountedCamera(LENSES[name], BASE_FROM_CAMERA @ MOUNTS[name]) for name in sorted(self.later_ns)}
+        with SequenceWriter(path, camera=CAMERA, base_from_camera=BASE_FROM_CAMERA, others=others) as writer:
+            events = []
+            for n, (t, pose) in enumerate(walk.odometry):
+                events.append((t, n, lambda t=t, p=pose: writer.write_odometry(t, p, walk.twist_covariance)))
+            for n, (t, pose) in enumerate(walk.truth):
+                events.append((t, n, lambda t=t, p=pose: writer.write_true_pose(t, p)))
+            for n, (t, data) in enumerate(walk.images):
+                events.append((t, n, lambda t=t, d=data: writer.write_encoded_image(t, d, "png")))
+                for name in others:
+                    if n % self.every.get(name, 1) == 0 and t + self.later_ns[name] <= walk.truth[-1][0]:
+                        events.append((t + self.later_ns[name], n, self._writing(writer, t, n, name, spoilt)))
+            for _, _, write in sorted(events, key=lambda event: event[:2]):
+                write()
+        return path
+
+    def _writing(self, writer, t, n, name, spoilt):
+        size = LENSES[name].width, LENSES[name].height
+        data = cv2.imencode(".png", np.ascontiguousarray(cv2.resize(picture(n % 12), size)[..., ::-1]))[1].tobytes()
+        if name == spoilt:
+            data = data[: len(data) // 2]
+        return lambda: writer.write_encoded_image(t + self.later_ns[name], data, "png", name)
