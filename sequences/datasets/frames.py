@@ -62,11 +62,7 @@ class PosedFrames(Iterator[Frame]):
             yield from self._of_camera(reader)
             return
         for name in self.camera_names:  # the frames of each together, as a camera of its own
-            for frame in self._of_camera(self._reader(only_camera=name)):
-                mount, odometry = frame.reference_from_camera, frame.odometry
-                if mount is not None and odometry is not None:
-                    odometry = odometry.of_another_frame(mount)
-                yield replace(frame, odometry=odometry, reference_from_camera=None)
+            yield from map(as_its_own, self._of_camera(self._reader(only_camera=name)))
 
     def _of_camera(self, reader: SequenceReader) -> Iterator[Frame]:
         begin, end, step = self._slice.start, self._slice.stop, self._slice.step
@@ -149,6 +145,14 @@ class PosedFrames(Iterator[Frame]):
         images = source[self._slice]
         stamps = zip(images.times_ns.tolist(), images.files, strict=True)
         return {time_ns: points.of[file] for time_ns, file in stamps if file in points.of}
+
+
+def as_its_own(frame: Frame) -> Frame:
+    """A frame of one of several cameras as if that were the one that is localized; of frames of that camera alone."""
+    mount, odometry = frame.reference_from_camera, frame.odometry
+    if mount is not None and odometry is not None:
+        odometry = odometry.of_another_frame(mount)
+    return replace(frame, odometry=odometry, reference_from_camera=None)
 
 
 def posed_frames(

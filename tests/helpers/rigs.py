@@ -17,7 +17,8 @@ WIDE = Camera(64, 32, 30.0, 31.0, 31.5, 15.5)
 CAMERA_FROM_LEFT = Poses.exp(np.array([-0.2, 0.05, -0.1, 0.1, -1.4, 0.2]))
 CAMERA_FROM_RIGHT = Poses.exp(np.array([0.2, 0.05, -0.1, 0.1, 1.3, 0.1]))
 MOUNTS = {"left": CAMERA_FROM_LEFT, "right": CAMERA_FROM_RIGHT}
-LENSES = {"left": WIDE, "right": CAMERA}
+NARROW = Camera(40, 32, 40.0, 41.0, 19.5, 15.5)
+LENSES = {"left": WIDE, "right": NARROW}
 
 
 @dataclass

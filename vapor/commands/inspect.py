@@ -157,7 +157,9 @@ def parts(found: Inspection) -> list[Part]:
         shown.append(("Coverage", [*_coverage_lines(found.coverage), *found.notices]))
     shown.append(("Odometry", [*_odometry_lines(found), *_clock_lines(found.clocks)]))
     shown.append(("Images against poses", [*_view_lines(found.walks)]))
-    shown.append(("Camera", [*_camera_lines(found.camera)]))
+    of_cameras = (f"{name}: {line}" if found.has_several else line
+                  for name, check in found.cameras.items() for line in _camera_lines(check))  # fmt: skip
+    shown.append(("Cameras" if found.has_several else "Camera", [*of_cameras]))
     if found.predictions is not None:
         shown.append(("The model", [*_model_lines(found.predictions, found.coverage)]))
     shown.append(("Verdict", [f"{number}. {sentence}" for number, sentence in enumerate(found.verdict, 1)]))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import count
 from pathlib import Path
@@ -41,10 +41,15 @@ class Inspection:
     coverage: Coverage | None
     odometry: OdometryCheck | None
     clocks: tuple[ImageClock, ...]
-    camera: CameraCheck
+    cameras: Mapping[str, CameraCheck]
     predictions: Predictions | None
     notices: tuple[str, ...]
     verdict: tuple[str, ...]
+
+    @property
+    def has_several(self) -> bool:
+        """Whether the images are of several cameras, by their names."""
+        return len(self.cameras) > 1
 
     def as_json(self) -> dict[str, Any]:
         """The content of `report.json`."""
@@ -53,7 +58,10 @@ class Inspection:
             "coverage": None if self.coverage is None else self.coverage.as_json(),
             "odometry": None if self.odometry is None else self.odometry.as_json(),
             "clocks": [asdict(clock) for clock in self.clocks],
-            "camera": self.camera.as_json(),
+            "camera": next(iter(self.cameras.values())).as_json(),
+            **(
+                {"cameras": {name: check.as_json() for name, check in self.cameras.items()}} if self.has_several else {}
+            ),
             "model": None if self.predictions is None else self.predictions.as_json(self.coverage),
             "notices": list(self.notices),
             "verdict": list(self.verdict),
@@ -80,13 +88,13 @@ def inspect(
     """
     predicted: list[Prediction] = []
     some: EvenlySpaced[SeenImage] = EvenlySpaced(MOST_IMAGES)
-    views = CameraViews()
+    views: dict[str, CameraViews] = {}
     rng, done = np.random.default_rng(0), count(1)
 
     def take(frame: Frame) -> None:
         progress("reading images", next(done), None)
         see(frame)
-        views.take(frame)
+        views.setdefault(frame.camera_name, CameraViews()).take(frame)
         if model is not None:
             some.add(lambda: (frame.image, frame.camera))
             predicted.append(Prediction.of(model.observe(frame.image, rng=rng)))
@@ -101,12 +109,14 @@ def inspect(
         progress("odometry", 0, None)
         odometry = check_odometry(images)
         notices = tuple(too_far(images.poses))
-    camera = views.check(lambda done, total: progress("the camera", done, total))
+    cameras = {
+        name: each.check(lambda done, total: progress("the camera", done, total)) for name, each in views.items()
+    }
     if model is not None:
         posed = np.concatenate([walk.posed for walk in walks])
         predictions = Predictions.of(predicted, images.poses if images is not None else walks[0].poses, posed)
         if predictions.out_of_distribution > _MOST and isinstance(model, VaporObservationModel):
             predictions = replace(predictions, why_out_of_distribution=why_unrecognised(some.items, model.ood_score))
     clocks = tuple(ImageClock.of(walk) for walk in walks)
-    found = verdict(walks, coverage, odometry, clocks, predictions, camera)
-    return Inspection(tuple(walks), coverage, odometry, clocks, camera, predictions, notices, found)
+    found = verdict(walks, coverage, odometry, clocks, predictions, cameras)
+    return Inspection(tuple(walks), coverage, odometry, clocks, cameras, predictions, notices, found)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from filtering.se3 import Poses
-from sequences.datasets.frames import posed_frames
+from sequences.datasets.frames import as_its_own, posed_frames
 from sequences.datasets.listing import is_recording, list_images
 from sequences.errors import SequenceError
 from sequences.frame import Frame
@@ -42,16 +42,18 @@ def read_walks(
     walks: list[Walk] = []
     for name, (path, which) in name_entries(data).items():
         source = Source(path, which, reading)
-        parts: dict[int, Walk] = {}
+        parts: dict[tuple[int, str], Walk] = {}
         for frame in source.frames():
             if frame.world_from_camera is not None and not frame.world_from_camera.is_finite():
                 raise TrainingError(f"{name}: true pose at {frame.time_ns} ns is not finite")
             see(frame)
-            if frame.sequence not in parts:
-                parts[frame.sequence] = Walk(name, source)
-            parts[frame.sequence].take(frame)
-        for number, walk in parts.items():
-            walk.name = name if len(parts) == 1 else f"{name}, sequence {number + 1}"
+            part = frame.sequence, frame.camera_name
+            if part not in parts:
+                parts[part] = Walk(name, source)
+            parts[part].take(frame)
+        several = len({number for number, _ in parts}) > 1
+        for (number, camera), walk in parts.items():
+            walk.name = name + (f", sequence {number + 1}" if several else "") + (f", {camera}" if camera else "")
             walks.append(walk)
     return walks
 
@@ -93,6 +95,15 @@ class Source:
             self._ask("true poses", odometry="optional", true_poses="required")
         if reader.base_from_camera is None:
             self._ask("odometry", odometry="required")
+        self.counts = ImageCounts(0)
+        if len(reader.camera_names) == 1:
+            yield from self._of_camera(reader)
+            return
+        for name in reader.camera_names:
+            alone = SequenceReader(self._path, self._reading, odometry="optional", only_camera=name)
+            yield from map(as_its_own, self._of_camera(alone))
+
+    def _of_camera(self, reader: SequenceReader) -> Iterator[Frame]:
         start, stop = self._which.start or 0, self._which.stop
         number = -1  # of images with a true pose, by which a range counts; of all images where none has one
         taken = 0
@@ -109,10 +120,12 @@ class Source:
             pass
         if not taken:
             raise SequenceError(f"{self._path}: no image in {start}:{stop}, expected at least one; it has {number + 1}")
-        self.counts = reader.counts.taken(taken)
-        few = [self.counts.warning] if self.counts.warning else []
-        self.skipped = reader.skipped + (self.counts.skipped - reader.counts.skipped)
-        self.notices = [*reader.notices, *few]
+        counts = reader.counts.taken(taken)
+        assert self.counts is not None
+        self.counts += counts
+        few = [counts.warning] if counts.warning else []
+        self.skipped += reader.skipped + (counts.skipped - reader.counts.skipped)
+        self.notices += [notice for notice in [*reader.notices, *few] if notice not in self.notices]
 
     def _ask(self, what: str, *, odometry: OdometryUse, true_poses: TruePoseUse = "optional") -> None:
         """Note why something is missing, if it is."""
@@ -141,4 +154,12 @@ def posed_images(walks: Sequence[Walk]) -> TrainingSet | None:
         (1, 1),
         np.concatenate([walk.times_ns[walk.posed] for walk in walks]),
         tuple(odometry),
+        walks=tuple(_walk_numbers(walks)),
     )
+
+
+def _walk_numbers(walks: Sequence[Walk]) -> Iterator[int]:
+    """The number of the walk of each: the cameras of one recording are on one walk."""
+    for number, walk in enumerate(walks):
+        together = walk.source.recorded
+        yield next(i for i, other in enumerate(walks) if i == number or (together and other.source is walk.source))

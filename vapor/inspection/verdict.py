@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -38,10 +38,10 @@ def verdict(
     odometry: OdometryCheck | None,
     clocks: Sequence[ImageClock],
     predictions: Predictions | None,
-    camera: CameraCheck | None = None,
+    cameras: Mapping[str, CameraCheck] = {},
 ) -> tuple[str, ...]:
     """Sentences with recommendations, or the one that recordings are good enough."""
-    found = [*_useless(walks, coverage), *_clocks(odometry, clocks), *_views(walks, odometry, clocks, camera)]
+    found = [*_useless(walks, coverage), *_clocks(odometry, clocks), *_views(walks, odometry, clocks, cameras)]
     if odometry is not None:
         # Images show already which of poses and odometry is turned or left-handed, where one of both agrees with them.
         sides = [{check.is_right for check in walk.checks if check.orientations} for walk in walks]
@@ -50,11 +50,12 @@ def verdict(
         found += _coverage(coverage)
     for walk in walks:
         found += _images(walk)
-    if camera is not None and camera.disagrees:
-        found.append(
-            "correct the intrinsics (camera_info, intrinsics.json), or leave them to `train`, which uses"
-            f" the fitted ones for landmarks: {camera.in_words}"
-        )
+    for name, camera in cameras.items():
+        if camera.disagrees:
+            found.append(
+                f"correct the intrinsics{f' of {name}' if len(cameras) > 1 else ''} (camera_info, intrinsics.json), or"
+                f" leave them to `train`, which uses the fitted ones for landmarks: {camera.in_words}"
+            )
     found += _without(walks)
     if coverage is not None and predictions is not None:
         found += _model(coverage, predictions)
@@ -82,10 +83,14 @@ def _useless(walks: Sequence[Walk], coverage: Coverage | None) -> Iterator[str]:
 
 
 def _views(
-    walks: Sequence[Walk], odometry: OdometryCheck | None, clocks: Sequence[ImageClock], camera: CameraCheck | None
+    walks: Sequence[Walk],
+    odometry: OdometryCheck | None,
+    clocks: Sequence[ImageClock],
+    cameras: Mapping[str, CameraCheck],
 ) -> Iterator[str]:
     """Contradictions of images, poses and colours."""
-    has_focal = camera is not None and camera.disagrees and camera.of_all  # a better sentence on focal lengths follows
+    # A better sentence on focal lengths follows.
+    has_focal = len(cameras) == 1 and all(camera.disagrees and camera.of_all for camera in cameras.values())
     explained = {clock.name for clock in clocks if abs(clock.late_ms or 0.0) >= _IMAGES_LATE_MS}
     has_units = odometry is not None and odometry.axes is not None and odometry.axes.unit is not None
     for walk in walks:

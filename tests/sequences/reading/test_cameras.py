@@ -11,7 +11,7 @@ from sequences.errors import NotFoundError, SequenceError
 from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
 from sequences.recordings.message_definitions import decoder, encoder
-from tests.helpers.rigs import CAMERA_FROM_LEFT, CAMERA_FROM_RIGHT, FRONT, LEFT, RIGHT, WIDE, Rig
+from tests.helpers.rigs import CAMERA_FROM_LEFT, CAMERA_FROM_RIGHT, FRONT, LEFT, NARROW, RIGHT, WIDE, Rig
 from tests.helpers.sequence_files import CAMERA, MS, Walk, close, rewrite, world_from_camera
 
 TOGETHER = Rig({"left": 0, "right": 0}, {})
@@ -45,7 +45,7 @@ def test_images_of_all_cameras_come_in_order_of_time_with_the_motion_of_the_firs
 def test_each_camera_has_its_own_intrinsics(tmp_path: Path) -> None:
     frames = list(SequenceReader(TOGETHER.write(tmp_path / "rig.mcap")))
     for frame in frames:
-        assert frame.camera == (WIDE if frame.camera_name == LEFT else CAMERA)
+        assert frame.camera == {FRONT: CAMERA, LEFT: WIDE, RIGHT: NARROW}[frame.camera_name]
         assert frame.image.shape[:2] == (frame.camera.height, frame.camera.width)
 
 

@@ -95,3 +95,29 @@ def test_beside_recorded_odometry_both_make_the_motion():
         for i, each in enumerate(found[1:])
     ]
     assert np.mean(turned) < 0.002  # which the recorded odometry lacks
+
+
+def test_images_of_other_cameras_are_taken_along_the_motion_of_the_first():
+    alone = list(VisualSequence(Frames(frames_of()), CAMERA))
+    mount = Poses.exp(np.array([0.1, 0, 0, 0, 1.5, 0]))
+    frames = []
+    for frame in frames_of():
+        frames.append(replace(frame, camera_name="front"))
+        later = replace(frame, time_ns=frame.time_ns + STEP_NS // 3, camera_name="side", reference_from_camera=mount)
+        frames.append(replace(later, image=np.zeros_like(frame.image)))
+    found = list(VisualSequence(Frames(frames), CAMERA))
+    assert [each.time_ns for each in found] == [each.time_ns for each in frames]
+    assert [each.camera_name for each in found] == ["front", "side"] * 31
+    front = [each for each in found if each.camera_name == "front"]
+    for number, (one, other) in enumerate(zip(front[1:], alone[1:], strict=True), start=1):
+        side = found[2 * number - 1].odometry
+        assert side is not None
+        assert side.duration_s == pytest.approx(STEP_NS / 3e9, rel=1e-6)
+        whole = side.then(one.odometry)
+        np.testing.assert_allclose(
+            whole.previous_from_current.as_matrix(), other.odometry.previous_from_current.as_matrix(), atol=1e-9
+        )
+    assert found[0].odometry is None
+    assert found[-1].odometry is None  # nothing shows the motion after the last image of the first camera
+    some = list(VisualSequence(Frames(frames), CAMERA, most_hz=10.0))
+    assert Counter(each.camera_name for each in some) == Counter(front=11, side=11)
