@@ -166,6 +166,9 @@ class LiveReader:
         for topic in heard.topics.values():
             if topic.read_as in _HEARD_EARLY:
                 heard.hear(topic.name)
+        for name in options.image_topics or usual:
+            if name in heard.topics and heard.topics[name].read_as in IMAGE_TYPES:
+                heard.hear(name)
         reading = SequenceOptions(**shared, ground_truth_topic="")
         cameras, _ = find_cameras(heard, reading, usual)
         for camera in cameras:

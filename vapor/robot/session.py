@@ -208,6 +208,9 @@ class LiveSession:
         odometry = roles.odometry.name if roles.odometry is not None else f"tf from {roles.odometry_frame}"
         infos = [camera.info.name for camera in roles.cameras if camera.info is not None]
         self._notify(f"localizes by {', '.join([*roles.image_topics, *infos])} and {odometry}")
+        missing = [name for name in observation.description.cameras if name not in reader.lenses]
+        if missing and len(observation.description.cameras) > 1 and not self._reading.image_topics:
+            self._notify(f"without {', '.join(missing)}, which the model learned from, too: not there at the start")
         for notice in [*self._model.observation.notices, *self._health.notices()]:
             self._notify(notice)
         return self._belief

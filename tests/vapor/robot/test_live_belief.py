@@ -27,7 +27,7 @@ def belief(unchecked):
     noise = MeasurementNoise(verified=MeasurementNoise(length_m=0.5, length_rad=0.5))
     description = SimpleNamespace(calibration=SimpleNamespace(errors=noise))
     model = SimpleNamespace(description=description, verifier="some", verifies=None)
-    localizer = SimpleNamespace(observe=lambda image: seen_at(Poses.identity(1)), forget=lambda: None)
+    localizer = SimpleNamespace(observe=lambda image, camera: seen_at(Poses.identity(1)), forget=lambda: None)
     belief = LiveBelief(localizer, model, READER, None)
     belief.anchor = anchor_of("converged", 1.0)
     return belief
@@ -40,11 +40,11 @@ def anchor_of(status, agreement):
 READER = SimpleNamespace(odometry_ns=None, frame_ns=None)
 
 
-def seen(belief, metres):
+def seen(belief, metres, camera=""):
     """Whether an image so far from the one before has places, and landmarks are looked for; None: not known how far."""
     step = None if metres is None else Poses.exp(np.array([metres, 0.0, 0.0, 0.0, 0.0, 0.0]))
     motion = None if step is None else Odometry(step, 1e-6 * np.eye(6), 0.03)
-    posterior = belief.observe(SimpleNamespace(camera=None, image=None, odometry=motion, time_ns=0))
+    posterior = belief.observe(SimpleNamespace(camera=None, image=None, odometry=motion, time_ns=0, camera_name=camera))
     assert belief._model.verifies != posterior.is_uninformative
     return not posterior.is_uninformative
 
@@ -53,6 +53,13 @@ def test_landmarks_are_looked_for_once_in_a_tenth_of_a_view(belief, clock):
     assert [seen(belief, metres) for metres in (None, 0.02, 0.02, 0.02, 0.02, 0.1)] == [
         True, False, False, True, False, True,
     ]  # fmt: skip
+
+
+def test_landmarks_are_looked_for_in_each_camera_once_in_a_tenth_of_a_view(belief, clock):
+    looked = [
+        seen(belief, metres, name) for metres in (0.0, 0.03, 0.03) for name, metres in (("a", metres), ("b", 0.0))
+    ]
+    assert looked == [True, True, False, False, True, True]
 
 
 def test_landmarks_are_looked_for_once_a_second_while_the_robot_stands(belief, clock):
