@@ -36,6 +36,7 @@ from filtering.se3 import Poses
 from filtering.smoothing import SmoothingConfig, Sources
 from filtering.state_chain import Chain, Places, Transition, unknown_prior
 from filtering.trajectory_search import SearchStep, most_probable_path
+from filtering.vertical import Vertical
 
 _NOTHING = PosePosterior.uninformative()
 _ROUNDS = 4  # of Gauss-Newton, where a window begins anew
@@ -72,6 +73,7 @@ class _Held:
     moved: list[float]
     transition: Transition | None
     searched: SearchStep
+    vertical: Vertical | None = None
     carried_off: bool = False
 
 
@@ -102,8 +104,8 @@ class FixedLagSmoother:
         self._number = 0
         self._begin()
 
-    def _begin(self) -> None:
-        self._sources = Sources.unseen(self.noise, self._config)
+    def _begin(self, vertical: Vertical | None = None) -> None:
+        self._sources = Sources.unseen(self.noise, self._config, vertical)
         self._window: list[_Held] = []
         self._chain: Chain | None = None  # about which the factors are linear
         self._factors: Factors = []
@@ -111,14 +113,21 @@ class FixedLagSmoother:
         self._time_s, self._weight = 0.0, 1.0
 
     def update(self, step: FilterStep) -> list[LaggedPose]:
-        """Take the next image of the filter; gives the poses that are now the lag behind, in order."""
+        """Take the next image of the filter; gives the poses that are now the lag behind, in order.
+
+        With the first vertical the window begins anew, as the state has its lasting error from then on.
+        """
+        given: list[LaggedPose] = []
+        if step.vertical is not None and self._sources.vertical is None:
+            given += self._take(len(self._window))
+            self._begin(step.vertical)
         self._sources, moved, to_here, searched = self._sources.after(step, self.noise, self._config)
         camera, best = self._sources.camera, step.modes[0]
         self._time_s += 0.0 if to_here is None else step.elapsed_s
         posterior = step.posterior.inflated(*(source.scale.factor for source in camera.sources))
-        self._window.append(_Held(self._number, self._time_s, posterior, camera.noise, moved, to_here, searched))
+        held = _Held(self._number, self._time_s, posterior, camera.noise, moved, to_here, searched, step.vertical)
+        self._window.append(held)
         self._number, self._weight = self._number + 1, best.weight
-        given: list[LaggedPose] = []
         if to_here is not None and to_here.is_loose:
             given += self._take(len(self._window) - 1)
             self._chain = None
@@ -231,7 +240,9 @@ class FixedLagSmoother:
 def _places(window: Sequence[_Held], *, only_last: bool = False) -> Places:
     last = len(window) - 1
     posteriors = [_NOTHING if only_last and i < last else held.posterior for i, held in enumerate(window)]
-    return Places(posteriors, np.array([held.moved for held in window]), [held.noise for held in window])
+    verticals = [None if only_last and i < last else held.vertical for i, held in enumerate(window)]
+    moved = np.array([held.moved for held in window])
+    return Places(posteriors, moved, [held.noise for held in window], verticals)
 
 
 def _extended(chain: Chain, to_here: Transition) -> Chain:

@@ -15,6 +15,7 @@ from filtering.observation import Observation
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from filtering.trajectory_search import squared_distances
+from filtering.vertical import Vertical
 
 _MOST_PLACES = 16  # of an image, the heaviest: enough for a place among many alike
 _LEAST_WEIGHT = 1e-3  # of a filter's hypothesis that is remembered
@@ -36,6 +37,7 @@ class FilterStep:
         modes: The filter's, the heaviest two.
         odometry_scale_error: That the filter found.
         gap_motion: Where odometry was missing, as the filter took it.
+        vertical: Gravity and height, where either was measured.
     """
 
     posterior: PosePosterior
@@ -47,6 +49,7 @@ class FilterStep:
     modes: tuple[Mode, ...]
     odometry_scale_error: float = 0.0
     gap_motion: GapMotion | None = None
+    vertical: Vertical | None = None
 
     @staticmethod
     def of(observation: Observation, estimate: Estimate) -> FilterStep:
@@ -66,6 +69,7 @@ class FilterStep:
             tuple(modes),
             estimate.odometry_scale_error,
             estimate.gap_motion,
+            observation.vertical,
         )
 
 

@@ -27,6 +27,7 @@ from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from filtering.state_chain import Places, Transition, transition, unknown_prior
 from filtering.trajectory_search import Path, SearchStep, most_probable_path
+from filtering.vertical import Vertical, VerticalMemory
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,7 @@ class Prepared:
         noise: Of each image, likewise.
         moved: Normalized distance since the image before, by source, (n, s).
         transitions: Of the state, n − 1.
+        verticals: Of the images.
     """
 
     steps: tuple[SearchStep, ...]
@@ -77,6 +79,7 @@ class Prepared:
     noise: tuple[MeasurementNoise, ...]
     moved: Float64[np.ndarray, "n s"]
     transitions: tuple[Transition, ...]
+    verticals: tuple[Vertical | None, ...]
 
 
 def smooth(steps: Sequence[FilterStep], noise: MeasurementNoise, config: SmoothingConfig | None = None) -> Hindsight:
@@ -128,21 +131,24 @@ def _joined(parts: Sequence[SmoothedTrajectory]) -> SmoothedTrajectory:
 
 
 class Sources(NamedTuple):
-    """The sources of places of a camera, along its images.
+    """The sources of places of a camera, along its images, and of verticals after them.
 
     Attributes:
         camera: Its memory.
+        vertical: The memory of verticals; None where none are measured.
         in_gap: Whether odometry was missing before the latest image; None before the first image.
     """
 
     camera: CameraMemory
+    vertical: VerticalMemory | None = None
     in_gap: bool | None = None
 
     @staticmethod
-    def unseen(noise: MeasurementNoise, config: SmoothingConfig) -> Sources:
-        """Those of a camera before its first image, with this noise."""
+    def unseen(noise: MeasurementNoise, config: SmoothingConfig, vertical: Vertical | None = None) -> Sources:
+        """Those of a camera before its first image, with this noise, and of a first vertical."""
         view = Observation.of_posterior(PosePosterior.uninformative(noise), None).views[0]
-        return Sources(CameraMemory.first_seen(view, 0, unknown=1.0, adapts=config.adapt_errors))
+        camera = CameraMemory.first_seen(view, 0, unknown=1.0, adapts=config.adapt_errors)
+        return Sources(camera, None if vertical is None else VerticalMemory(len(camera.sources), vertical.lengths))
 
     def after(
         self, step: FilterStep, noise: MeasurementNoise, config: SmoothingConfig
@@ -154,15 +160,17 @@ class Sources(NamedTuple):
             noise: Noise of the images.
             config: Settings.
         """
-        camera, in_gap, motion = self.camera, self.in_gap, step.odometry
-        moved, to_here = [0.0] * len(camera.sources), None
+        camera, vertical, in_gap, motion = self.camera, self.vertical, self.in_gap, step.odometry
+        moved, to_here = [0.0] * (len(camera.sources) + (vertical is not None)), None
         if in_gap is None:
             motion = None
         elif motion is not None:
             camera, moved = camera.predict(motion.rescaled(step.odometry_scale_error))
+            vertical, moved = _with_vertical(vertical, moved)
             to_here = transition(motion, config.odometry_bias, moved, noise, new_drift=in_gap)
         else:
             camera, moved = camera.across_gap(step.gap_motion or GapMotion(Poses.identity()))
+            vertical, moved = _with_vertical(vertical, moved)
             still = Odometry.still(step.elapsed_s)
             # Motion without odometry says nothing of its scale.
             velocity = replace(config.gap.velocity, scale=config.odometry_bias.scale)
@@ -174,11 +182,22 @@ class Sources(NamedTuple):
         searched = SearchStep(
             step.posterior, pose, step.elapsed_s, power, config.outlier_places, step.hypotheses, step.weights
         )
-        return Sources(camera, in_gap is not None and motion is None), moved, to_here, searched
+        if vertical is not None and step.vertical is not None:
+            vertical = vertical.observe(step.vertical)
+        return Sources(camera, vertical, in_gap is not None and motion is None), moved, to_here, searched
+
+
+def _with_vertical(vertical: VerticalMemory | None, moved: list[float]) -> tuple[VerticalMemory | None, list[float]]:
+    """The memory of verticals after a motion, and how far all sources moved, as of the filter."""
+    if vertical is None:
+        return None, moved
+    vertical, own = vertical.predict(moved[0])
+    return vertical, [*moved, own]
 
 
 def _prepare(steps: Sequence[FilterStep], noise: MeasurementNoise, config: SmoothingConfig) -> Prepared:
-    sources = Sources.unseen(noise, config)
+    verticals = tuple(step.vertical for step in steps)
+    sources = Sources.unseen(noise, config, next((each for each in verticals if each is not None), None))
     cameras, search, distances, transitions = [], [], [], []
     for step in steps:
         sources, moved, to_here, searched = sources.after(step, noise, config)
@@ -201,7 +220,7 @@ def _prepare(steps: Sequence[FilterStep], noise: MeasurementNoise, config: Smoot
         for each in cameras
     ]
     posteriors = tuple(step.posterior.inflated(*factors) for step in steps)
-    return Prepared(tuple(search), posteriors, tuple(noises), np.array(distances), tuple(transitions))
+    return Prepared(tuple(search), posteriors, tuple(noises), np.array(distances), tuple(transitions), verticals)
 
 
 def _path(prepared: Prepared, part: slice, end: Mode, noise: MeasurementNoise, config: SmoothingConfig) -> Path:
@@ -216,7 +235,7 @@ def _trajectory(
     poses, covariances = [], []
     for begin, end in pairwise([part.start, *loose, part.stop]):
         own = slice(begin, end)
-        places = Places(prepared.posteriors[own], prepared.moved[own], prepared.noise[own])
+        places = Places(prepared.posteriors[own], prepared.moved[own], prepared.noise[own], prepared.verticals[own])
         here = start[begin - part.start : end - part.start]
         prior = unknown_prior(here[0], noise, config.odometry_bias, prepared.moved.shape[1])
         chain, covariance = solve(here, prior, prepared.transitions[begin : end - 1], places, noise)
