@@ -28,6 +28,7 @@ from vapor.observation import VaporObservationModel
 from vapor.pipeline.config import OdometrySource, RunConfig
 from vapor.pipeline.localize import localize
 from vapor.pipeline.model import LoadedModel, load_model
+from vapor.pipeline.planar import Verticals
 from vapor.pipeline.results import RESULTS, RunResult, write_results
 from vapor.pipeline.unrecognised import MOST_IMAGES, SeenImage, are_unrecognised, why_unrecognised
 from vapor.reporting.record import EvenlySpaced
@@ -107,6 +108,7 @@ def run_into(
     fit = calibration.odometry if config.fitted_odometry else None
     reader = _with_visual_odometry(reader, observation.description, config, fit)
 
+    verticals = Verticals(observation.description, config.planar)
     some: EvenlySpaced[SeenImage] = EvenlySpaced(MOST_IMAGES)
     verified = VerifiedImages(observation)
 
@@ -128,6 +130,7 @@ def run_into(
             calibration.errors,
             odometry_fit=fit,
             storeys=observation.storeys,
+            vertical=verticals.step,
             place=Place.of_model(observation.description),
             allow_few_images=reading.allow_few_images,
             progress=progress,
@@ -148,7 +151,7 @@ def run_into(
         }
         made = config.odometry == "auto" and isinstance(reader, VisualSequence)
         missing = [_VISUAL] if made else [] if reader.has_odometry else [_NO_ODOMETRY]
-        notices = [*missing, *reader.notices, *observation.notices]
+        notices = [*missing, *reader.notices, *observation.notices, *verticals.notices]
         if are_unrecognised(record.status) and observation.description.ood_model is not None:
             notices.append(why_unrecognised(some.items, observation.ood_score))
         if (trained := observation.description.memory_poses) is not None:
