@@ -51,7 +51,7 @@ class HeightMap:
 
     def at(self, positions: Float64[np.ndarray, "n 3"]) -> HeightsAt:
         """See `filtering.vertical.Heights`; unknown far from training poses, and between storeys."""
-        near_m, near = self._tree.query(positions, self._count)
+        near_m, near = self._nearest(positions, self._count)
         plane = self._planes(positions, near, self._stiffness)
         std_m = np.sqrt(plane.variance + self._spread**2 * plane.leverage + self.least_std_m**2)
         std_m = np.maximum(std_m, _LEAST_HEIGHT * self._reach_m)
@@ -70,6 +70,13 @@ class HeightMap:
     def _tree(self) -> KDTree:
         return KDTree(self.positions)
 
+    def _nearest(
+        self, positions: Float64[np.ndarray, "p 3"], count: int
+    ) -> tuple[Float64[np.ndarray, "p k"], Int64[np.ndarray, "p k"]]:
+        """Distances and numbers of the nearest training positions."""
+        distances, numbers = self._tree.query(positions, count)
+        return np.asarray(distances), np.asarray(numbers)
+
     @property
     def _count(self) -> int:
         return min(_NEIGHBOURS, len(self.positions))
@@ -77,7 +84,7 @@ class HeightMap:
     @cached_property
     def _reach_m(self) -> float:
         """How far the neighbours of a training pose reach."""
-        return max(float(np.median(self._tree.query(self.positions, self._count)[0][:, -1])), 1e-9)
+        return max(float(np.median(self._nearest(self.positions, self._count)[0][:, -1])), 1e-9)
 
     @cached_property
     def _own(self) -> tuple[float, float]:
@@ -85,7 +92,7 @@ class HeightMap:
 
         The first is the variance of heights about planes over that of slopes along either axis, m².
         """
-        near = self._tree.query(self.positions, min(self._count + 1, len(self.positions)))[1][:, 1:]
+        near = self._nearest(self.positions, min(self._count + 1, len(self.positions)))[1][:, 1:]
         free = self._planes(self.positions, near, _FREE * self._reach_m**2)
         slope_variance = float(np.mean(np.sum(np.square(free.slope), axis=1))) / 2.0
         stiffness = float(np.mean(free.variance)) / max(slope_variance, 1e-12)
