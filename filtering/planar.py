@@ -20,7 +20,8 @@ from filtering.se3 import Poses
 from filtering.storeys import up_axis
 from filtering.vertical import HeightsAt, Vertical, vertical_errors
 
-_MOST_TILT_RAD = np.radians(1.5)  # standard deviation about each axis, of a robot
+_MOST_TILT_RAD = float(np.radians(1.5))  # standard deviation about each axis, of a robot
+_OFF_AXIS_RAD = float(np.radians(3.0))
 _TURNS = 25.0  # times as much as they tilt: else the axis about which poses turn is not known
 _LEAST_TILT_RAD, _LEAST_HEIGHT = 1e-4, 1e-3  # standard deviations; of the height in neighbourhoods
 _FEWEST = 20  # training poses
@@ -137,6 +138,20 @@ class _Planes:
     leverage: Float64[np.ndarray, " p"]
 
 
+def world_up_of(poses: Poses) -> tuple[float, float, float]:
+    """Up in the world, by cameras (n,) that somebody or something carried upright.
+
+    It is the axis of the world that is up in most of them; another direction where they turn about one that is further
+    than 3° from it, and turn far more than they tilt.
+    """
+    axis = up_axis(poses)
+    found = Planar.found_in(poses)
+    if found is not None and found.turns_most and np.dot(found.vertical.world_up, axis) < np.cos(_OFF_AXIS_RAD):
+        return found.vertical.world_up
+    x, y, z = (float(each) for each in axis)
+    return x, y, z
+
+
 @dataclass(frozen=True)
 class Planar:
     """The tilt and height of a robot's camera, as its training poses show them.
@@ -144,13 +159,18 @@ class Planar:
     Attributes:
         vertical: Both, as a measurement of every image.
         tilt_std_rad: Spread of the tilt of the training poses, about each axis.
-        is_robot: Whether they are those of a robot: of one tilt within 1.5° (one standard deviation about each axis),
-            while they turn far more.
+        turns_most: Whether the camera turned about one axis by five times as much as it tilted, so that the axis is
+            known.
     """
 
     vertical: Vertical
     tilt_std_rad: float
-    is_robot: bool
+    turns_most: bool
+
+    @property
+    def is_robot(self) -> bool:
+        """Whether they are those of a robot: of one tilt within 1.5°, one standard deviation about each axis."""
+        return self.turns_most and self.tilt_std_rad <= _MOST_TILT_RAD
 
     @staticmethod
     def found_in(poses: Poses, *, tilt_error_rad: float = 0.0, height_error_m: float = 0.0) -> Planar | None:
@@ -178,12 +198,11 @@ class Planar:
         heights = HeightMap(poses.translation, (x, y, z), height_error_m)
         a, b, c = (float(each) for each in up)
         vertical = Vertical((a, b, c), tilt_std, heights, (x, y, z))
-        is_robot = tilt_std <= _MOST_TILT_RAD and turned > np.sqrt(_TURNS) * spread
-        return Planar(vertical, tilt_std, bool(is_robot))
+        return Planar(vertical, tilt_std, bool(turned > np.sqrt(_TURNS) * spread))
 
 
-class PlanarWatch:
-    """Watches whether images agree that a robot is planar, and lets go of it while they do not.
+class VerticalWatch:
+    """Watches whether images agree with verticals, and lets go of these while they do not.
 
     An image speaks by its heaviest place, one verified by landmarks before others: by how far its tilt and height are
     from the known ones, in standard deviations of both. The belief itself says nothing of it, as it was corrected.
@@ -192,31 +211,37 @@ class PlanarWatch:
         is_let_go: Whether the latest images disagree: the median of the last 30 is above √3 standard deviations.
         num_let_go: Number of images for which it was so.
         num_images: Number of all.
+        largest_tilt_rad: The largest of the median angles by which directions were off while it was so.
     """
 
-    def __init__(self, planar: Planar) -> None:
-        self._vertical = planar.vertical
+    def __init__(self) -> None:
+        """Before the first image."""
         self._squared: deque[float] = deque(maxlen=_WATCHED)
+        self._angles: deque[float] = deque(maxlen=_WATCHED)
         self.is_let_go, self.num_let_go, self.num_images = False, 0, 0
+        self.largest_tilt_rad = 0.0
 
-    def step(self, posterior: PosePosterior) -> Vertical | None:
-        """The vertical to use with an image, by it and those before; None while it is let go."""
+    def step(self, posterior: PosePosterior, vertical: Vertical) -> Vertical | None:
+        """The vertical, if it is to be used with its image, by this one and those before; None while it is let go."""
         if not posterior.is_uninformative:
-            self._squared.append(self._disagreement(posterior))
+            self._squared.append(self._disagreement(posterior, vertical))
             few = len(self._squared) < _FEWEST_WATCHED
             self.is_let_go = not few and float(np.median(self._squared)) > _DISAGREES
         self.num_images += 1
         self.num_let_go += self.is_let_go
-        return None if self.is_let_go else self._vertical
+        if self.is_let_go:
+            self.largest_tilt_rad = max(self.largest_tilt_rad, float(np.median(self._angles)))
+        return None if self.is_let_go else vertical
 
-    def _disagreement(self, posterior: PosePosterior) -> float:
+    def _disagreement(self, posterior: PosePosterior, vertical: Vertical) -> float:
         """Squared distance of the image's heaviest place from the vertical, per degree of freedom."""
         weights = posterior.weights
         if posterior.verified is not None and posterior.verified.any():
             weights = np.where(posterior.verified, weights, -1.0)
         heaviest = int(np.argmax(weights))
-        found = vertical_errors(self._vertical, posterior.means[[heaviest]])
+        found = vertical_errors(vertical, posterior.means[[heaviest]])
         jacobian, innovation = found.of_pose[0], found.innovation[0]
+        self._angles.append(float(np.linalg.norm(innovation[:2])) if vertical.up is not None else 0.0)
         covariance = jacobian @ posterior.covariances[heaviest] @ jacobian.T + np.diag(found.variance[0])
         known = np.any(jacobian != 0.0, axis=1)
         innovation, covariance = innovation[known], covariance[np.ix_(known, known)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Int64, UInt8
@@ -62,6 +63,18 @@ class Camera:
         return Camera(width, height, self.fx, self.fy, self.cx - left, self.cy - top)
 
 
+class Gravity(NamedTuple):
+    """The direction of gravity.
+
+    Attributes:
+        up: Unit vector against it, about the axes of the camera.
+        std_rad: Standard deviation about each axis across it.
+    """
+
+    up: tuple[float, float, float]
+    std_rad: float
+
+
 @dataclass(frozen=True)
 class Frame:
     """One image of a sequence, with its time, odometry and true pose.
@@ -74,6 +87,7 @@ class Frame:
         world_from_camera: True pose, one pose; None where unknown.
         camera: Intrinsics of that image, a pinhole camera's; None where unknown.
         sequence: Which sequence of its data set it is from, counted from 0, where a data set has several.
+        gravity: By an inertial unit; None where it is unknown.
     """
 
     time_ns: int
@@ -82,6 +96,7 @@ class Frame:
     world_from_camera: Poses | None = None
     camera: Camera | None = None
     sequence: int = 0
+    gravity: Gravity | None = None
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from filtering.planar import HeightMap, Planar, PlanarWatch
+from filtering.planar import HeightMap, Planar, VerticalWatch
 from filtering.se3 import Poses
 from filtering.vertical import KnownHeight, Vertical
 from tests.helpers.planar_robot import LEVEL_CAMERA, driven, ramp
@@ -119,8 +119,8 @@ STD = np.array([0.1, 0.1, 0.1, 0.03, 0.03, 0.03])
 
 
 def watched(poses, planar, *, std=STD):
-    watch = PlanarWatch(planar)
-    return [watch.step(seen_at(pose @ Poses.exp(std * e), std=std)) for pose, e in poses], watch
+    watch = VerticalWatch()
+    return [watch.step(seen_at(pose @ Poses.exp(std * e), std=std), planar.vertical) for pose, e in poses], watch
 
 
 def with_errors(poses, *, seed=0):
@@ -153,17 +153,15 @@ def test_once_images_agree_again_it_is_used_again():
 
 def test_images_without_places_say_nothing():
     planar = Planar.found_in(driven(400, rng=RNG(0)))
-    watch = PlanarWatch(planar)
-    assert all(watch.step(OUT_OF_DISTRIBUTION) is planar.vertical for _ in range(50))
+    watch = VerticalWatch()
+    assert all(watch.step(OUT_OF_DISTRIBUTION, planar.vertical) is planar.vertical for _ in range(50))
 
 
 def test_where_no_height_is_known_the_tilt_alone_counts():
-    far = Planar(
-        Vertical((0.0, -1.0, 0.0), 0.01, HeightMap(translated([[0, 0, 0], [1.0, 0, 0]]).translation)), 0.01, True
-    )
-    watch, pose = PlanarWatch(far), Poses.from_matrix(np.block([[LEVEL_CAMERA, np.full((3, 1), 50.0)], [0, 0, 0, 1.0]]))
+    far = Vertical((0.0, -1.0, 0.0), 0.01, HeightMap(translated([[0, 0, 0], [1.0, 0, 0]]).translation))
+    watch, pose = VerticalWatch(), Poses.from_matrix(np.block([[LEVEL_CAMERA, np.full((3, 1), 50.0)], [0, 0, 0, 1.0]]))
     for _ in range(10):
-        assert watch.step(seen_at(pose, std=STD)) is far.vertical
+        assert watch.step(seen_at(pose, std=STD), far) is far
 
 
 def test_a_known_height_is_one_everywhere():

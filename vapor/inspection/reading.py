@@ -14,6 +14,8 @@ from sequences.datasets.frames import posed_frames
 from sequences.datasets.listing import is_recording, list_images
 from sequences.errors import SequenceError
 from sequences.frame import Frame
+from sequences.inertial.samples import read_inertial
+from sequences.inertial.sequence import InertialSequence
 from sequences.options import OdometryUse, SequenceOptions, TruePoseUse
 from sequences.reader import SequenceReader
 from sequences.reading.counts import ImageCounts
@@ -96,7 +98,8 @@ class Source:
         start, stop = self._which.start or 0, self._which.stop
         number = -1  # of images with a true pose, by which a range counts; of all images where none has one
         taken = 0
-        frames = iter(reader)
+        inertial = InertialSequence(reader, *read_inertial(self._path, self._reading or SequenceOptions()))
+        frames = iter(inertial)
         for frame in frames:
             number += "true poses" in self.lacks or frame.world_from_camera is not None
             if stop is not None and number >= stop:
@@ -112,7 +115,7 @@ class Source:
         self.counts = reader.counts.taken(taken)
         few = [self.counts.warning] if self.counts.warning else []
         self.skipped = reader.skipped + (self.counts.skipped - reader.counts.skipped)
-        self.notices = [*reader.notices, *few]
+        self.notices = [*inertial.notices, *few]
 
     def _ask(self, what: str, *, odometry: OdometryUse, true_poses: TruePoseUse = "optional") -> None:
         """Note why something is missing, if it is."""

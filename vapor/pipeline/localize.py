@@ -76,7 +76,7 @@ def localize(
     observed: Callable[[Any], np.ndarray] = attrgetter("image"),
     odometry_fit: OdometryFit | None = None,
     storeys: Storeys | None = None,
-    vertical: Callable[[PosePosterior], Vertical | None] = lambda _: None,
+    vertical: Callable[[Any, PosePosterior], Vertical | None] = lambda frame, posterior: None,
     place: Place | None = None,
     allow_few_images: bool = False,
     progress: Callable[[int, int], None] | None = None,
@@ -92,7 +92,7 @@ def localize(
         observed: The observation of a frame.
         odometry_fit: Errors of the odometry; None for those that frames and settings state.
         storeys: Of the building, where there are several.
-        vertical: What is known of the vertical of each image, by its posterior.
+        vertical: What is known of the vertical of a frame, also by its posterior.
         place: Where it happens, for the viewer.
         allow_few_images: Whether fewer than one in ten of the images asked for are enough.
         progress: Called after every frame with the number done and an upper bound of all.
@@ -118,7 +118,7 @@ def localize(
                     odometry = odometry_fit.restated(odometry)
                 posterior = localizer.observe(observed(frame))
             observation = Observation.of_posterior(posterior, odometry, elapsed_s(before_ns, frame.time_ns))
-            observation = replace(observation, vertical=vertical(posterior))
+            observation = replace(observation, vertical=vertical(frame, posterior))
             yield frame, observation, 1e3 * (time.perf_counter() - begin)
             before_ns = frame.time_ns
 

@@ -15,6 +15,8 @@ from filtering.se3 import Poses
 from sequences.frame import Camera, Frame
 from sequences.frame_source import FrameSource
 from sequences.image_sequence import ImageSequence, is_image_sequence
+from sequences.inertial.samples import read_inertial
+from sequences.inertial.sequence import InertialSequence
 from sequences.odometry_fit.result import OdometryFit
 from sequences.options import OdometryUse, SequenceOptions
 from sequences.outputs import results_folder
@@ -28,9 +30,9 @@ from vapor.observation import VaporObservationModel
 from vapor.pipeline.config import OdometrySource, RunConfig
 from vapor.pipeline.localize import localize
 from vapor.pipeline.model import LoadedModel, load_model
-from vapor.pipeline.planar import Verticals
 from vapor.pipeline.results import RESULTS, RunResult, write_results
 from vapor.pipeline.unrecognised import MOST_IMAGES, SeenImage, are_unrecognised, why_unrecognised
+from vapor.pipeline.verticals import Verticals
 from vapor.reporting.record import EvenlySpaced
 from vapor.reporting.rerun_place import Place
 from vapor.threads import limited_threads
@@ -107,6 +109,7 @@ def run_into(
     calibration = observation.description.calibration
     fit = calibration.odometry if config.fitted_odometry else None
     reader = _with_visual_odometry(reader, observation.description, config, fit)
+    gravity = _with_gravity(reader, reading)
 
     verticals = Verticals(observation.description, config.planar)
     some: EvenlySpaced[SeenImage] = EvenlySpaced(MOST_IMAGES)
@@ -123,14 +126,14 @@ def run_into(
             bias = usual if reader.beside else VisualOdometry.bias
             config, fit = replace(config, localizer=replace(config.localizer, odometry_bias=bias)), None
         record = localize(
-            reader,
+            gravity,
             verified,
             directory,
             config,
             calibration.errors,
             odometry_fit=fit,
             storeys=observation.storeys,
-            vertical=verticals.step,
+            vertical=lambda frame, posterior: verticals.step(posterior, frame.gravity),
             place=Place.of_model(observation.description),
             allow_few_images=reading.allow_few_images,
             progress=progress,
@@ -151,7 +154,7 @@ def run_into(
         }
         made = config.odometry == "auto" and isinstance(reader, VisualSequence)
         missing = [_VISUAL] if made else [] if reader.has_odometry else [_NO_ODOMETRY]
-        notices = [*missing, *reader.notices, *observation.notices, *verticals.notices]
+        notices = [*missing, *gravity.notices, *observation.notices, *verticals.notices]
         if are_unrecognised(record.status) and observation.description.ood_model is not None:
             notices.append(why_unrecognised(some.items, observation.ood_score))
         if (trained := observation.description.memory_poses) is not None:
@@ -206,6 +209,14 @@ def _with_visual_odometry(
             " intrinsics.json, or a model whose training images had them"
         )
     return reader
+
+
+def _with_gravity(frames: FrameSource, reading: SequenceOptions) -> FrameSource:
+    """The sequence with gravity of an inertial unit, where its recording has one."""
+    if is_image_sequence(frames.path):
+        return frames
+    samples, notices = read_inertial(frames.path, reading)
+    return InertialSequence(frames, samples, notices)
 
 
 class VerifiedImages:

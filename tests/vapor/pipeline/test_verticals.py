@@ -1,4 +1,4 @@
-"""`--planar`: which models know a robot's tilt and height, and what a run makes of it."""
+"""What a run makes of a robot's tilt and height (`--planar`), and of gravity by an inertial unit."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -8,13 +8,15 @@ import pytest
 
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
+from sequences.frame import Gravity
 from sequences.trajectories.tum import read_tum
 from tests.helpers.checkout import SHARED_DATA
+from tests.helpers.inertial_files import IMU, inertial_messages, with_messages
 from tests.helpers.planar_robot import driven
 from tests.helpers.simulation import RNG, seen_at
 from tests.helpers.tiny_model import SMALL
 from vapor.checkpoints.file_format import load_checkpoint, load_description, save_checkpoint
-from vapor.pipeline.planar import Verticals, planar_of
+from vapor.pipeline.verticals import Verticals, planar_of
 from vapor.track import main
 
 
@@ -67,6 +69,44 @@ def test_a_camera_carried_by_hand_through_a_robots_map_is_let_go_of_and_reported
     assert all(always.step(seen_at(pose)) is not None for pose in driven(50, rng=RNG(1), tilt_std=0.25))
 
 
+def upright(poses, *, flipped=1.0):
+    return [Gravity(tuple(flipped * pose.rotation.T @ [0, 0, 1]), 0.02) for pose in poses]
+
+
+def test_gravity_of_a_camera_in_a_hand_is_used_with_the_models_up(of_poses):
+    poses = driven(100, rng=RNG(0), tilt_std=0.2)
+    verticals = Verticals(of_poses(poses, poses), "auto")
+    for pose, gravity in zip(poses, upright(poses), strict=True):
+        vertical = verticals.step(seen_at(pose), gravity)
+        assert vertical.up == gravity.up
+    np.testing.assert_allclose(vertical.world_up, [0, 0, 1], atol=1e-9)
+    assert vertical.heights is None
+    assert not verticals.notices
+
+
+@pytest.mark.parametrize(("flipped", "why"), [(-1.0, "upside down"), (1.0, "another mount")])
+def test_gravity_that_is_not_that_of_the_images_is_not_used_and_said(of_poses, flipped, why):
+    poses = driven(100, rng=RNG(0), tilt_std=0.2)
+    turned = poses if flipped < 0 else poses @ Poses.exp(np.array([0, 0, 0, 0.8, 0, 0]))
+    verticals = Verticals(of_poses(poses, poses), "auto")
+    used = [
+        verticals.step(seen_at(pose), gravity)
+        for pose, gravity in zip(poses, upright(turned, flipped=flipped), strict=True)
+    ]
+    assert not any(used[10:])
+    assert "gravity is off the images by" in verticals.notices[0]
+    assert why in verticals.notices[0]
+
+
+def test_of_gravity_and_a_robots_tilt_the_more_exact_one_is_used_and_the_height_is_the_robots(of_poses):
+    for tilt_std, by_gravity in ((0.01, False), (0.024, True)):
+        poses = driven(300, rng=RNG(0), tilt_std=tilt_std)
+        verticals = Verticals(of_poses(poses, poses), "auto")
+        vertical = verticals.step(seen_at(poses[0]), upright(poses[:1])[0])
+        assert (vertical.up == upright(poses[:1])[0].up) == by_gravity
+        assert vertical.heights is not None
+
+
 def test_planar_yes_needs_training_poses(of_poses):
     with pytest.raises(VaporTrackError, match="5 training poses"):
         Verticals(of_poses(driven(5, rng=RNG(0))), "yes")
@@ -103,3 +143,14 @@ def test_a_run_with_a_robots_model_is_corrected_in_tilt_and_height(tiny_model, w
     )
     assert "planar robot: tilt (within" in capsys.readouterr().out
     assert all(known[name] != unknown[name] for name in ("trajectory.tum", "smoothed.tum", "kalman.tum"))
+
+
+def test_gravity_of_a_recording_corrects_a_run_and_leaves_one_without_it_as_it_was(tiny_model, walk_of_25, tmp_path):
+    imu = with_messages(walk_of_25, tmp_path / "imu.mcap", IMU, "sensor_msgs/Imu", inertial_messages(seconds=2.6))
+    with_it = run(imu, tiny_model, tmp_path / "with")
+    without, plain = (
+        run(imu, tiny_model, tmp_path / "without", "--imu-topic", ""),
+        run(walk_of_25, tiny_model, tmp_path / "plain"),
+    )
+    assert without["trajectory.tum"] == plain["trajectory.tum"]
+    assert with_it["trajectory.tum"] != plain["trajectory.tum"]
