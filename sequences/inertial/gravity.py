@@ -17,7 +17,8 @@ from sequences.inertial.samples import STANDARD_GRAVITY, InertialSamples
 _GAP_S, _RECENT_S = 0.5, 0.1  # without samples: it begins anew; of the sample for a frame
 _STEADY_G, _LASTS_S = 0.01, 1.0  # accelerations of a frame that moves evenly; how long they last
 _OTHERWISE_G = 0.2  # samples that differ from gravity by more say nothing of it
-_DRIFT_RAD_PER_SQRT_S, _UNKNOWN_TURN = 0.01, 0.5  # of a gyroscope, its bias included; without one
+_DRIFT_RAD_PER_SQRT_S, _UNKNOWN_TURN = 0.002, 0.5  # of a gyroscope whose bias is found; without one
+_BIAS_RAD_PER_S, _BIAS_S = 0.01, 20.0  # standard deviation of the bias before it is found; time that this takes
 _MOUNT_RAD = 0.01  # standard deviation of how the unit is mounted
 
 
@@ -42,7 +43,8 @@ def gravity_along(samples: InertialSamples) -> GravityTrack:
     """Gravity at each sample: by the unit's own orientation, or by specific force and turn rate.
 
     The turn rate carries the direction on, and specific forces pull it back, the less so the more their length varies:
-    then the frame accelerates. Accelerations last for a second, so that the rate of the samples does not matter.
+    then the frame accelerates. Accelerations last for a second, so that the rate of the samples does not matter. What
+    pulls the same way all the time is the bias of the turn rate.
     """
     if samples.up is not None:
         std = np.full(len(samples.times_ns), np.hypot(samples.up_std_rad, _MOUNT_RAD))
@@ -52,18 +54,19 @@ def gravity_along(samples: InertialSamples) -> GravityTrack:
     spaced_s = np.diff(samples.times_ns, prepend=samples.times_ns[0]) * 1e-9
     lengths = np.linalg.norm(samples.force, axis=1) / STANDARD_GRAVITY
     up: np.ndarray | None = None
-    variance, off = 0.0, _OTHERWISE_G**2
+    variance, off, bias, passed_s = 0.0, _OTHERWISE_G**2, np.zeros(3), 0.0
     for i, dt in enumerate(spaced_s.tolist()):
         if dt > _GAP_S:
             up, off = None, _OTHERWISE_G**2
         rate = samples.turn_rate[i]
         if up is not None:
-            drift = _DRIFT_RAD_PER_SQRT_S
+            passed_s += dt
             if np.isnan(rate[0]):
-                drift = _UNKNOWN_TURN
+                variance += _UNKNOWN_TURN**2 * dt
             else:
-                up = _unit(up - np.cross(rate, up) * dt)
-            variance += drift**2 * dt
+                up = _unit(up - np.cross(rate - bias, up) * dt)
+                of_bias = _BIAS_RAD_PER_S * np.exp(-passed_s / _BIAS_S)
+                variance += (_DRIFT_RAD_PER_SQRT_S**2 + of_bias**2 * _LASTS_S) * dt
         length = lengths[i]
         if np.isfinite(length):
             follow = min(dt / _LASTS_S, 1.0) if i else 1.0
@@ -75,6 +78,7 @@ def gravity_along(samples: InertialSamples) -> GravityTrack:
                     up, variance = measured, error
                 else:
                     gain = variance / (variance + error * _LASTS_S / max(dt, 1e-6))
+                    bias = bias + gain / _BIAS_S * np.cross(up, measured)
                     up, variance = _unit(up + gain * (measured - up)), (1.0 - gain) * variance
         if up is not None:
             directions[i], stds[i] = up, np.sqrt(variance + _MOUNT_RAD**2)

@@ -1,19 +1,21 @@
-"""A sequence whose frames have the direction of gravity, by an inertial unit in the same recording."""
+"""A sequence whose frames have gravity, and whose odometry turns as a gyroscope does: an inertial unit beside it."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from filtering.motion import Odometry
 from filtering.se3 import Poses
 from filtering.storeys import up_axis
 from sequences.frame import Frame, Gravity
 from sequences.frame_source import FrameSource
 from sequences.inertial.gravity import gravity_along
+from sequences.inertial.gyroscope import GyroscopeFusion
 from sequences.inertial.samples import InertialSamples
 from sequences.reading.counts import ImageCounts
 
@@ -21,16 +23,32 @@ _FEWEST, _VARIES_DEG = 10, 10.0  # frames with gravity and a true pose; median a
 
 
 class InertialSequence:
-    """The frames of another sequence with gravity, see `Frame.gravity`; all else is as of the other sequence."""
+    """The frames of another sequence with gravity, and with odometry whose rotation a gyroscope corrects.
 
-    def __init__(self, frames: FrameSource, samples: InertialSamples | None, notices: list[str]) -> None:
+    All else is as of the other sequence.
+
+    Attributes:
+        measures_turns: Whether there is a gyroscope.
+    """
+
+    def __init__(
+        self,
+        frames: FrameSource,
+        samples: InertialSamples | None,
+        notices: list[str],
+        restated: Callable[[Odometry], Odometry] | None = None,
+    ) -> None:
         """Around a sequence.
 
         Args:
             frames: The sequence.
             samples: Of the unit, about the axes of the camera; None for none.
             notices: Of reading them.
+            restated: Gives the odometry of the frames with its fitted noise, where the unit measures turns.
         """
+        self._samples = samples
+        self.measures_turns = samples is not None and bool(np.isfinite(samples.turn_rate).any())
+        self._restated, self._gyroscope = restated, None if samples is None else GyroscopeFusion(samples)
         self._frames, self._notices = frames, notices
         self._gravity = None if samples is None else gravity_along(samples)
         self.path, self.camera, self.num_images = frames.path, frames.camera, frames.num_images
@@ -61,12 +79,15 @@ class InertialSequence:
         missing = []
         if self._num_without:
             missing = [f"{self._num_without} of {self._num_frames} images have no gravity: gaps of the inertial unit"]
-        return [*self._frames.notices, *self._notices, *missing, *beside_true_poses(self._with_truth)]
+        turns = [] if self._gyroscope is None else self._gyroscope.notices
+        return [*self._frames.notices, *self._notices, *missing, *turns, *beside_true_poses(self._with_truth)]
 
     def __iter__(self) -> Iterator[Frame]:
         """Frames in order of time, see the sequence."""
         self._num_frames = self._num_without = 0
         self._with_truth = []
+        self._gyroscope = None if self._samples is None else GyroscopeFusion(self._samples)
+        before_ns: int | None = None
         for frame in self._frames:
             if self._gravity is None:
                 yield frame
@@ -76,7 +97,18 @@ class InertialSequence:
             self._num_without += gravity is None
             if gravity is not None and frame.world_from_camera is not None:
                 self._with_truth.append((frame.world_from_camera, gravity))
-            yield replace(frame, gravity=gravity)
+            odometry = self._corrected(before_ns, frame)
+            before_ns = frame.time_ns
+            yield replace(frame, gravity=gravity, odometry=odometry)
+
+    def _corrected(self, before_ns: int | None, frame: Frame) -> Odometry | None:
+        """The odometry of a frame with its rotation corrected by the gyroscope."""
+        odometry = frame.odometry
+        if odometry is None or before_ns is None or self._gyroscope is None or not self.measures_turns:
+            return odometry
+        if self._restated is not None:
+            odometry = self._restated(odometry)
+        return self._gyroscope.step(before_ns, frame.time_ns, odometry)
 
 
 def beside_true_poses(found: Sequence[tuple[Poses, Gravity]]) -> list[str]:

@@ -109,7 +109,8 @@ def run_into(
     calibration = observation.description.calibration
     fit = calibration.odometry if config.fitted_odometry else None
     reader = _with_visual_odometry(reader, observation.description, config, fit)
-    gravity = _with_gravity(reader, reading)
+    visual = isinstance(reader, VisualSequence)  # which has restated the odometry
+    frames = _with_inertial(reader, reading, None if fit is None or visual else fit)
 
     verticals = Verticals(observation.description, config.planar)
     some: EvenlySpaced[SeenImage] = EvenlySpaced(MOST_IMAGES)
@@ -121,12 +122,13 @@ def run_into(
         return frame.image
 
     with limited_threads(config.threads):
-        if isinstance(reader, VisualSequence):  # which has restated the odometry
+        restates = isinstance(frames, InertialSequence) and frames.measures_turns
+        if isinstance(reader, VisualSequence) or restates:
             usual = fit.odometry_bias if fit is not None else config.localizer.odometry_bias
-            bias = usual if reader.beside else VisualOdometry.bias
+            bias = VisualOdometry.bias if isinstance(reader, VisualSequence) and not reader.beside else usual
             config, fit = replace(config, localizer=replace(config.localizer, odometry_bias=bias)), None
         record = localize(
-            gravity,
+            frames,
             verified,
             directory,
             config,
@@ -154,7 +156,7 @@ def run_into(
         }
         made = config.odometry == "auto" and isinstance(reader, VisualSequence)
         missing = [_VISUAL] if made else [] if reader.has_odometry else [_NO_ODOMETRY]
-        notices = [*missing, *gravity.notices, *observation.notices, *verticals.notices]
+        notices = [*missing, *frames.notices, *observation.notices, *verticals.notices]
         if are_unrecognised(record.status) and observation.description.ood_model is not None:
             notices.append(why_unrecognised(some.items, observation.ood_score))
         if (trained := observation.description.memory_poses) is not None:
@@ -211,12 +213,17 @@ def _with_visual_odometry(
     return reader
 
 
-def _with_gravity(frames: FrameSource, reading: SequenceOptions) -> FrameSource:
-    """The sequence with gravity of an inertial unit, where its recording has one."""
+def _with_inertial(frames: FrameSource, reading: SequenceOptions, fit: OdometryFit | None) -> FrameSource:
+    """The sequence with gravity and turns of an inertial unit, where its recording has one.
+
+    Args:
+        frames: The sequence.
+        reading: Its topic.
+        fit: Errors of its odometry; None for those that it states.
+    """
     if is_image_sequence(frames.path):
         return frames
-    samples, notices = read_inertial(frames.path, reading)
-    return InertialSequence(frames, samples, notices)
+    return InertialSequence(frames, *read_inertial(frames.path, reading), None if fit is None else fit.restated)
 
 
 class VerifiedImages:

@@ -60,10 +60,7 @@ class Verticals:
         self._world_up = self._planar.vertical.world_up if self._planar is not None else None
 
     def step(self, posterior: PosePosterior, gravity: Gravity | None = None) -> Vertical | None:
-        """The vertical of the next image; None where nothing is known.
-
-        Of gravity and the tilt of a robot the more exact one counts.
-        """
+        """The vertical of the next image; None where nothing is known."""
         vertical = None if self._planar is None else self._planar.vertical
         if vertical is not None and self._watch is not None:
             vertical = self._watch.step(posterior, vertical)
@@ -73,9 +70,7 @@ class Verticals:
         measured = self._gravity_watch.step(
             posterior, Vertical(gravity.up, gravity.std_rad, None, self._world_up, _LENGTHS)
         )
-        if measured is None or vertical is None:
-            return vertical or measured
-        return vertical if vertical.tilt_std_rad <= gravity.std_rad else replace(measured, heights=vertical.heights)
+        return _together(vertical, measured) if vertical is not None and measured is not None else vertical or measured
 
     @property
     def notices(self) -> list[str]:
@@ -97,3 +92,14 @@ class Verticals:
                 f" {gravity.num_images} images"
             )
         return notices
+
+
+def _together(robot: Vertical, gravity: Vertical) -> Vertical:
+    """The tilt of a robot and gravity as one direction, weighted by their variances, with the robot's height."""
+    if robot.up is None or gravity.up is None:
+        return robot
+    weights = np.array([robot.tilt_std_rad, gravity.tilt_std_rad]) ** -2.0
+    up = weights @ np.array([robot.up, gravity.up])
+    x, y, z = (float(each) for each in up / np.linalg.norm(up))
+    exact = gravity if gravity.tilt_std_rad < robot.tilt_std_rad else robot
+    return replace(robot, up=(x, y, z), tilt_std_rad=float(weights.sum() ** -0.5), lengths=exact.lengths)

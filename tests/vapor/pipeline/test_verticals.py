@@ -98,13 +98,16 @@ def test_gravity_that_is_not_that_of_the_images_is_not_used_and_said(of_poses, f
     assert why in verticals.notices[0]
 
 
-def test_of_gravity_and_a_robots_tilt_the_more_exact_one_is_used_and_the_height_is_the_robots(of_poses):
-    for tilt_std, by_gravity in ((0.01, False), (0.024, True)):
-        poses = driven(300, rng=RNG(0), tilt_std=tilt_std)
-        verticals = Verticals(of_poses(poses, poses), "auto")
-        vertical = verticals.step(seen_at(poses[0]), upright(poses[:1])[0])
-        assert (vertical.up == upright(poses[:1])[0].up) == by_gravity
-        assert vertical.heights is not None
+def test_gravity_and_a_robots_tilt_count_by_their_variances_and_the_height_is_the_robots(of_poses):
+    poses = driven(300, rng=RNG(0), tilt_std=0.02)
+    verticals = Verticals(of_poses(poses, poses), "auto")
+    robot = verticals.step(seen_at(poses[0]))
+    gravity = upright(poses[:1])[0]
+    both = verticals.step(seen_at(poses[0]), gravity)
+    assert both.tilt_std_rad == pytest.approx((robot.tilt_std_rad**-2 + gravity.std_rad**-2) ** -0.5)
+    assert both.heights is robot.heights
+    angles = [np.arccos(np.dot(both.up, each)) for each in (robot.up, gravity.up)]
+    assert angles[0] / angles[1] == pytest.approx((robot.tilt_std_rad / gravity.std_rad) ** 2, rel=0.05)
 
 
 def test_planar_yes_needs_training_poses(of_poses):
