@@ -19,7 +19,8 @@ from sequences.inertial.samples import InertialSamples
 _GAP_NS = 100_000_000  # between samples, over which a turn is unknown
 _WHITE_RAD_PER_SQRT_S = 0.001  # of a small unit, the times of its samples included
 _BIAS_RAD_PER_S, _BIAS_CHANGES = 0.02, 1e-4  # standard deviations: of the bias, of its change in a second
-_LASTS_S = 1.0  # the error of the bias counts in each motion as if for so long
+_TURN = 0.01  # of a turn: how the unit is mounted, and its scale
+_LASTS_S = 1.0  # such errors, and that of the bias, count in each motion as if for so long
 _DISPUTED, _USUAL = 16.3, 9.0  # squared distance of three: one in a thousand is above; median where most is wrong
 _WATCHED, _FEWEST = 60, 20  # motions
 
@@ -57,7 +58,9 @@ class GyroscopeFusion:
             return odometry
         self._covariance = self._covariance + _BIAS_CHANGES**2 * duration_s * np.eye(3)
         difference = odometry.previous_from_current.between(turned).log()[3:]
-        white = _WHITE_RAD_PER_SQRT_S**2 * duration_s * np.eye(3)
+        longer = max(_LASTS_S / duration_s, 1.0)
+        angle = float(np.linalg.norm(turned.log()[3:]))
+        white = (_WHITE_RAD_PER_SQRT_S**2 * duration_s + longer * (_TURN * angle) ** 2) * np.eye(3)
         by_odometry = odometry.covariance[3:, 3:]
         spread = by_odometry + white + duration_s**2 * self._covariance
         squared = float(difference @ np.linalg.solve(spread, difference))
@@ -72,7 +75,7 @@ class GyroscopeFusion:
             self._learn(difference, by_odometry + white, duration_s)
             turned = self.turned(begin_ns, end_ns)
             assert turned is not None
-        lasting = max(_LASTS_S, duration_s) * duration_s * self._covariance
+        lasting = longer * duration_s**2 * self._covariance
         return _corrected(odometry, turned, white + lasting, by_gyroscope=disputed)
 
     def turned(self, begin_ns: int, end_ns: int) -> Poses | None:
