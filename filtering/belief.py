@@ -12,6 +12,7 @@ from filtering.hypotheses import Hypotheses
 from filtering.identity import KnownModes
 from filtering.motion import GapMotion
 from filtering.unchecked import unchecked_replace
+from filtering.vertical import VerticalMemory
 
 
 @dataclass(frozen=True)
@@ -23,6 +24,7 @@ class Belief:
         hypotheses: Where the camera may be; None before the first image.
         unassigned: Probability that it is at none of these, but anywhere in the map.
         cameras: The memory of each camera, by its name.
+        vertical: The memory of measured verticals; None before the first.
         known: The modes of the last estimate, moved since.
         calibrated: Whether the latest image had Student t tails, see `PosePosterior.calibrated`.
         agreement: Fraction of the belief that fits the latest images, in [0, 1].
@@ -39,6 +41,7 @@ class Belief:
     hypotheses: Hypotheses | None = None
     unassigned: float = 1.0
     cameras: Mapping[str, CameraMemory] = field(default_factory=dict)
+    vertical: VerticalMemory | None = None
     known: KnownModes = field(default_factory=KnownModes)
     calibrated: bool = False
     agreement: float = 1.0
@@ -60,5 +63,5 @@ class Belief:
 
     @property
     def num_sources(self) -> int:
-        """How many sources of places there are: networks and maps of landmarks."""
-        return sum(len(camera.sources) for camera in self.cameras.values())
+        """How many sources of lasting errors there are: networks, maps of landmarks, and verticals."""
+        return sum(len(camera.sources) for camera in self.cameras.values()) + (self.vertical is not None)

@@ -164,7 +164,7 @@ def factors_of(
 ) -> list[list[gtsam.JacobianFactor]]:
     """Factors of the changes of the n states, of the error ξ of each pose and of the other parts, by image.
 
-    Those of an image are the transition from the one before and the places that it sees.
+    Those of an image are the transition from the one before, the place that it sees, and its vertical.
 
     Args:
         chain: The states that change.
@@ -198,6 +198,9 @@ def factors_of(
         jacobian *= chain.units
         for i, each, measured in zip(places.image[chosen].tolist(), jacobian, value, strict=True):
             factors[i].append(gtsam.JacobianFactor(key + i, each, measured, of_place))
+    for i, each, measured in places.vertical_measurements(chain):
+        of_vertical = gtsam.noiseModel.Unit.Create(len(measured))
+        factors[i].append(gtsam.JacobianFactor(key + i, each * chain.units, measured, of_vertical))
     return factors
 
 

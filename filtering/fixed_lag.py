@@ -36,6 +36,7 @@ from filtering.se3 import Poses
 from filtering.smoothing import SmoothingConfig, Sources
 from filtering.state_chain import Chain, Places, Transition, unknown_prior
 from filtering.trajectory_search import SearchStep, most_probable_path
+from filtering.vertical import Vertical
 
 _NOTHING = PosePosterior.uninformative()
 _ROUNDS = 4  # of Gauss-Newton, where a window begins anew
@@ -73,6 +74,7 @@ class _Held:
     transition: Transition | None
     searched: SearchStep
     first_source: int
+    vertical: Vertical | None = None
     carried_off: bool = False
 
 
@@ -112,19 +114,24 @@ class FixedLagSmoother:
         self._time_s, self._weight = 0.0, 1.0
 
     def update(self, step: FilterStep) -> list[LaggedPose]:
-        """Take the next image of the filter; gives the poses that are now the lag behind, in order."""
+        """Take the next image of the filter; gives the poses that are now the lag behind, in order.
+
+        With the first image of a camera, and the first vertical, the window begins anew, as the state has their lasting
+        errors from then on.
+        """
         given: list[LaggedPose] = []
-        if step.camera not in self._sources.cameras:  # its errors are another part of the state
+        sources = self._sources.known(step, self.noise, self._config)
+        if sources is not self._sources:
             given += self._take(len(self._window))
-            self._chain = None
-            new = Sources.unseen(self.noise, self._config, [step.camera])
-            self._sources = self._sources._replace(cameras={**self._sources.cameras, **new.cameras})
+            self._sources, self._chain = sources, None
         self._sources, moved, to_here, searched = self._sources.after(step, self.noise, self._config)
         camera, best = self._sources.cameras[step.camera], step.modes[0]
         self._time_s += 0.0 if to_here is None else step.elapsed_s
         posterior = step.posterior.inflated(*(source.scale.factor for source in camera.sources))
         first = self._sources.first_of(step.camera)
-        held = _Held(self._number, self._time_s, posterior, camera.noise, moved, to_here, searched, first)
+        held = _Held(
+            self._number, self._time_s, posterior, camera.noise, moved, to_here, searched, first, step.vertical
+        )
         self._window.append(held)
         self._number, self._weight = self._number + 1, best.weight
         if to_here is not None and to_here.is_loose:
@@ -239,12 +246,9 @@ class FixedLagSmoother:
 def _places(window: Sequence[_Held], *, only_last: bool = False) -> Places:
     last = len(window) - 1
     posteriors = [_NOTHING if only_last and i < last else held.posterior for i, held in enumerate(window)]
-    return Places(
-        posteriors,
-        np.array([held.moved for held in window]),
-        [held.noise for held in window],
-        np.array([held.first_source for held in window]),
-    )
+    verticals = [None if only_last and i < last else held.vertical for i, held in enumerate(window)]
+    moved, first = np.array([held.moved for held in window]), np.array([held.first_source for held in window])
+    return Places(posteriors, moved, [held.noise for held in window], first, verticals)
 
 
 def _extended(chain: Chain, to_here: Transition) -> Chain:

@@ -15,6 +15,7 @@ from filtering.observation import ONLY_CAMERA, Observation
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from filtering.trajectory_search import squared_distances
+from filtering.vertical import Vertical
 
 _MOST_PLACES = 16  # of an image, the heaviest: enough for a place among many alike
 _LEAST_WEIGHT = 1e-3  # of a filter's hypothesis that is remembered
@@ -37,6 +38,7 @@ class FilterStep:
         odometry_scale_error: That the filter found.
         gap_motion: Where odometry was missing, as the filter took it.
         camera: Name of the camera; the posterior is of the frame that is localized.
+        vertical: Gravity and height, where either was measured.
     """
 
     posterior: PosePosterior
@@ -49,6 +51,7 @@ class FilterStep:
     odometry_scale_error: float = 0.0
     gap_motion: GapMotion | None = None
     camera: str = ONLY_CAMERA
+    vertical: Vertical | None = None
 
     @staticmethod
     def of(observation: Observation, estimate: Estimate) -> FilterStep:
@@ -71,6 +74,7 @@ class FilterStep:
             estimate.odometry_scale_error,
             estimate.gap_motion,
             observation.views[0].camera if observation.views else ONLY_CAMERA,
+            observation.vertical,
         )
 
 

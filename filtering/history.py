@@ -127,7 +127,8 @@ def _in_order(begin_ns: int | None, new: Observation, later: Sequence[Observatio
         return [new if begin_ns is None else _lasting(new, begin_ns)]
     first, *others = later
     if first.time_ns == new.time_ns:
-        return [replace(first, views=(*first.views, *new.views)), *others]
+        both = replace(first, views=(*first.views, *new.views), vertical=first.vertical or new.vertical)
+        return [both, *others]
     assert begin_ns is not None
     new, known = _lasting(new, begin_ns), first.odometry
     if new.odometry is not None:

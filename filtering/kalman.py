@@ -28,6 +28,7 @@ from filtering.observation import Observation
 from filtering.posterior import PosePosterior
 from filtering.prediction import gap_motion, limit_rotation, motion_of_state
 from filtering.se3 import Poses
+from filtering.vertical import Vertical, VerticalMemory, corrected_by
 
 
 @dataclass(frozen=True)
@@ -61,6 +62,7 @@ class KalmanLocalizer:
         self._pose: Poses | None = None
         self._filter = KalmanFilter(dim_x=19, dim_z=6)
         self._sources: tuple[Source, ...] = ()
+        self._vertical: VerticalMemory | None = None
         self._provisional = False  # whether the next informative image restarts it
         self._drift: tuple[np.ndarray, np.ndarray] | None = None  # of odometry, before a gap
         self._rejected_s: float | None = None  # since the first of the images rejected in a row
@@ -124,6 +126,7 @@ class KalmanLocalizer:
                 posterior = posterior.inflated(*(source.scale.factor for source in self._sources))
                 if not self._correct(posterior, correlations):
                     self._reject(posterior, elapsed_s if odom is None else odom.duration_s)
+        self._level(observation.vertical)
         pose, covariance = self._pose, self._filter.P[POSE, POSE]
         assert pose is not None
         noise = CameraMemory(self._sources, Poses.identity()).noise
@@ -133,12 +136,21 @@ class KalmanLocalizer:
         """Add the correlated errors of landmarks to the state where there is a map of them."""
         if noise.verified is None or len(self._sources) > 1 or self._pose is None:
             return
-        landmarks = Source.first_seen(noise.verified, 1, unknown=1.0, adapts=self.config.adapt_errors)
-        wider = with_source(self._hypothesis(self._pose))
+        number = 1 + (self._vertical is not None)
+        landmarks = Source.first_seen(noise.verified, number, unknown=1.0, adapts=self.config.adapt_errors)
         self._sources = (*self._sources, landmarks)
-        self._filter = KalmanFilter(dim_x=19 + 6, dim_z=6)
-        self._filter.x = np.concatenate([np.zeros(6), wider.mean[0]])[:, None]
-        self._filter.P = wider.covariance[0]
+        self._take(with_source(self._hypothesis(self._pose)))
+
+    def _level(self, vertical: Vertical | None) -> None:
+        """Correct by gravity and height."""
+        if vertical is None or vertical.degrees_of_freedom == 0 or self._pose is None:
+            return
+        hypothesis, memory = self._hypothesis(self._pose), self._vertical
+        if memory is None:
+            hypothesis, memory = with_source(hypothesis), VerticalMemory(len(self._sources), vertical.lengths)
+        hypothesis = corrected_by(vertical, hypothesis, memory)
+        self._take(hypothesis)
+        self._pose, self._vertical = hypothesis.poses[0], memory.observe(vertical)
 
     def _hypothesis(self, pose: Poses) -> Hypotheses:
         mean, covariance = self._filter.x[6:].T.copy(), self._filter.P[None].copy()
@@ -166,7 +178,7 @@ class KalmanLocalizer:
         self._filter.x = np.concatenate([np.zeros(6), places.mean[heaviest]])[:, None]
         self._filter.P = places.covariance[heaviest].copy()
         self._provisional = posterior.is_uninformative
-        self._rejected_s = None
+        self._rejected_s, self._vertical = None, None
 
     def _predict(self, pose: Poses, odom: Odometry | None, elapsed_s: float) -> None:
         bias, hypothesis = self.config.odometry_bias, self._hypothesis(pose)
@@ -187,14 +199,21 @@ class KalmanLocalizer:
                 self._take(with_drift(hypothesis, *self._drift))
                 self._drift = None
         self._sources = tuple(source for source, _ in after)
-        transition, noise = motion_of_state(odom, bias, [moved for _, moved in after])
+        distances = {source.number: moved for source, moved in after}
+        if self._vertical is not None:
+            self._vertical, distances[self._vertical.number] = self._vertical.predict(distances[0])
+        transition, noise = motion_of_state(odom, bias, [distances[number] for number in sorted(distances)])
         self._filter.predict(F=transition, Q=noise)
         settle(self._filter.P)
         limit_rotation(self._filter.P[None])
         self._fold((pose @ odom.previous_from_current).orthonormal())
 
     def _take(self, hypothesis: Hypotheses) -> None:
-        self._filter.x[6:, 0], self._filter.P = hypothesis.mean[0], hypothesis.covariance[0]
+        """Take the state of a hypothesis, which may be larger than before; its pose is kept apart."""
+        mean, covariance = hypothesis.mean[0], hypothesis.covariance[0]
+        if len(covariance) != len(self._filter.P):
+            self._filter = KalmanFilter(dim_x=len(covariance), dim_z=6)
+        self._filter.x, self._filter.P = np.concatenate([np.zeros(6), mean])[:, None], covariance
 
     def _correct(self, posterior: PosePosterior, correlations: Sequence[Correlation]) -> bool:
         """Correct by the nearest place, if it is inside the gate; returns whether it is.

@@ -11,6 +11,7 @@ from filtering.errors import VaporTrackError, quoted
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
+from filtering.vertical import Vertical
 
 ONLY_CAMERA = "camera"
 """Name of a camera beside which there is no other."""
@@ -51,6 +52,7 @@ class Observation:
             where it is unknown.
         elapsed_s: Seconds since the previous observation; used where `odometry` is None, and there is no time.
         time_ns: When it was observed, integer nanoseconds, 0 or more; None where the order of steps is that of time.
+        vertical: Gravity in the frame that is localized, and its height; None where neither was measured.
 
     Raises:
         VaporTrackError: two views are of one camera, the elapsed time is negative or infinite, or the time is not an
@@ -61,6 +63,7 @@ class Observation:
     odometry: Odometry | None = None
     elapsed_s: float = 1.0
     time_ns: int | None = None
+    vertical: Vertical | None = None
 
     def __post_init__(self) -> None:
         names = [view.camera for view in self.views]

@@ -27,6 +27,8 @@ from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from filtering.state_chain import Places, Transition, transition, unknown_prior
 from filtering.trajectory_search import Path, SearchStep, most_probable_path
+from filtering.unchecked import unchecked_replace
+from filtering.vertical import Vertical, VerticalMemory
 
 
 @dataclass(frozen=True)
@@ -71,6 +73,7 @@ class Prepared:
         moved: Normalized distance since the image before, by source, (n, s).
         first_source: Of the camera of each image, (n,).
         transitions: Of the state, n − 1.
+        verticals: Of the images.
     """
 
     steps: tuple[SearchStep, ...]
@@ -79,6 +82,7 @@ class Prepared:
     moved: Float64[np.ndarray, "n s"]
     first_source: Int64[np.ndarray, " n"]
     transitions: tuple[Transition, ...]
+    verticals: tuple[Vertical | None, ...]
 
 
 def smooth(steps: Sequence[FilterStep], noise: MeasurementNoise, config: SmoothingConfig | None = None) -> Hindsight:
@@ -130,23 +134,38 @@ def _joined(parts: Sequence[SmoothedTrajectory]) -> SmoothedTrajectory:
 
 
 class Sources(NamedTuple):
-    """The sources of places of all cameras, along their images.
+    """The sources of places of all cameras, along their images, and of verticals after them.
 
     Attributes:
         cameras: Their memories by name. Those of the n-th camera follow those of the cameras before it.
+        vertical: The memory of verticals; None where none are measured.
         in_gap: Whether odometry was missing before the latest image; None before the first image.
     """
 
     cameras: dict[str, CameraMemory]
+    vertical: VerticalMemory | None = None
     in_gap: bool | None = None
 
     @staticmethod
-    def unseen(noise: MeasurementNoise, config: SmoothingConfig, names: Iterable[str]) -> Sources:
-        """Those of cameras before their first images, with this noise."""
+    def unseen(
+        noise: MeasurementNoise, config: SmoothingConfig, names: Iterable[str], vertical: Vertical | None = None
+    ) -> Sources:
+        """Those of cameras before their first images, with this noise, and of a first vertical."""
         view = Observation.of_posterior(PosePosterior.uninformative(noise), None).views[0]
-        return Sources(
-            {name: CameraMemory.first_seen(view, 0, unknown=1.0, adapts=config.adapt_errors) for name in names}
-        )
+        cameras = {name: CameraMemory.first_seen(view, 0, unknown=1.0, adapts=config.adapt_errors) for name in names}
+        number = sum(len(camera.sources) for camera in cameras.values())
+        return Sources(cameras, None if vertical is None else VerticalMemory(number, vertical.lengths))
+
+    def known(self, step: FilterStep, noise: MeasurementNoise, config: SmoothingConfig) -> Sources:
+        """The same with those that a step has; itself where it knows them."""
+        if step.camera in self.cameras and (step.vertical is None or self.vertical is not None):
+            return self
+        new = Sources.unseen(noise, config, dict.fromkeys([*self.cameras, step.camera]), step.vertical)
+        vertical = new.vertical
+        if vertical is None and self.vertical is not None:
+            number = sum(len(camera.sources) for camera in new.cameras.values())
+            vertical = unchecked_replace(self.vertical, number=number)
+        return Sources({**new.cameras, **self.cameras}, vertical, self.in_gap)
 
     def first_of(self, name: str) -> int:
         """The number of a camera's first source."""
@@ -163,17 +182,19 @@ class Sources(NamedTuple):
             noise: Noise of the images.
             config: Settings.
         """
-        in_gap, motion, to_here = self.in_gap, step.odometry, None
+        vertical, in_gap, motion, to_here = self.vertical, self.in_gap, step.odometry, None
         cameras, moved = self.cameras, [0.0] * sum(len(camera.sources) for camera in self.cameras.values())
         if in_gap is None:
-            motion = None
+            motion, moved = None, [*moved, *([] if vertical is None else [0.0])]
         elif motion is not None:
             rescaled = motion.rescaled(step.odometry_scale_error)
             cameras, moved = _each({name: camera.predict(rescaled) for name, camera in cameras.items()})
+            vertical, moved = _with_vertical(vertical, moved)
             to_here = transition(motion, config.odometry_bias, moved, noise, new_drift=in_gap)
         else:
             gap = step.gap_motion or GapMotion(Poses.identity())
             cameras, moved = _each({name: camera.across_gap(gap) for name, camera in cameras.items()})
+            vertical, moved = _with_vertical(vertical, moved)
             still = Odometry.still(step.elapsed_s)
             # Motion without odometry says nothing of its scale.
             velocity = replace(config.gap.velocity, scale=config.odometry_bias.scale)
@@ -186,7 +207,9 @@ class Sources(NamedTuple):
         searched = SearchStep(
             step.posterior, pose, step.elapsed_s, power, config.outlier_places, step.hypotheses, step.weights
         )
-        return Sources(cameras, in_gap is not None and motion is None), moved, to_here, searched
+        if vertical is not None and step.vertical is not None:
+            vertical = vertical.observe(step.vertical)
+        return Sources(cameras, vertical, in_gap is not None and motion is None), moved, to_here, searched
 
 
 def _each(after: Mapping[str, tuple[CameraMemory, list[float]]]) -> tuple[dict[str, CameraMemory], list[float]]:
@@ -194,8 +217,18 @@ def _each(after: Mapping[str, tuple[CameraMemory, list[float]]]) -> tuple[dict[s
     return cameras, [distance for _, moved in after.values() for distance in moved]
 
 
+def _with_vertical(vertical: VerticalMemory | None, moved: list[float]) -> tuple[VerticalMemory | None, list[float]]:
+    """The memory of verticals after a motion, and how far all sources moved, as of the filter."""
+    if vertical is None:
+        return None, moved
+    vertical, own = vertical.predict(moved[0])
+    return vertical, [*moved, own]
+
+
 def _prepare(steps: Sequence[FilterStep], noise: MeasurementNoise, config: SmoothingConfig) -> Prepared:
-    sources = Sources.unseen(noise, config, dict.fromkeys(step.camera for step in steps))
+    verticals = tuple(step.vertical for step in steps)
+    first_vertical = next((each for each in verticals if each is not None), None)
+    sources = Sources.unseen(noise, config, dict.fromkeys(step.camera for step in steps), first_vertical)
     cameras, search, distances, transitions = [], [], [], []
     for step in steps:
         sources, moved, to_here, searched = sources.after(step, noise, config)
@@ -218,7 +251,8 @@ def _prepare(steps: Sequence[FilterStep], noise: MeasurementNoise, config: Smoot
     ]
     posteriors = tuple(step.posterior.inflated(*(scale.factor for scale in scales[step.camera])) for step in steps)
     first = np.array([sources.first_of(step.camera) for step in steps], np.int64)
-    return Prepared(tuple(search), posteriors, tuple(noises), np.array(distances), first, tuple(transitions))
+    moved = np.array(distances)
+    return Prepared(tuple(search), posteriors, tuple(noises), moved, first, tuple(transitions), verticals)
 
 
 def _path(prepared: Prepared, part: slice, end: Mode, noise: MeasurementNoise, config: SmoothingConfig) -> Path:
@@ -233,7 +267,13 @@ def _trajectory(
     poses, covariances = [], []
     for begin, end in pairwise([part.start, *loose, part.stop]):
         own = slice(begin, end)
-        places = Places(prepared.posteriors[own], prepared.moved[own], prepared.noise[own], prepared.first_source[own])
+        places = Places(
+            prepared.posteriors[own],
+            prepared.moved[own],
+            prepared.noise[own],
+            prepared.first_source[own],
+            prepared.verticals[own],
+        )
         here = start[begin - part.start : end - part.start]
         prior = unknown_prior(here[0], noise, config.odometry_bias, prepared.moved.shape[1])
         chain, covariance = solve(here, prior, prepared.transitions[begin : end - 1], places, noise)

@@ -9,7 +9,7 @@ Source: Olson and Agarwal, "Inference on networks of mixtures", 2013 (max-mixtur
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -25,6 +25,8 @@ from filtering.motion import Odometry, OdometryBias
 from filtering.posterior import PosePosterior
 from filtering.prediction import motion_of_state
 from filtering.se3 import Poses
+from filtering.unchecked import unchecked_replace
+from filtering.vertical import Vertical, VerticalMemory, whitened
 
 _EXACT = 1e-5  # of a variance: what is known exactly keeps so much
 _LEAST_SCALE = 1e-2  # standard deviation of the scale error of odometry, below which the unit is this
@@ -144,13 +146,14 @@ def transition(
 
 
 class Places:
-    """The places of n images as arrays, k places in all.
+    """The places of n images as arrays, k places in all, and the verticals measured with them.
 
     Args:
         posteriors: Of the images.
         moved: Normalized distance that the camera moved since the image before, by source, (n, s).
         noise: Of each image, n; for its constant errors.
         first_source: Number of the first source of the camera of each image, (n,).
+        verticals: Of each image, n, whose lasting error is the last source; empty for none.
     """
 
     def __init__(
@@ -159,7 +162,16 @@ class Places:
         moved: Float64[np.ndarray, "n s"],
         noise: Sequence[MeasurementNoise],
         first_source: Int64[np.ndarray, " n"],
+        verticals: Sequence[Vertical | None] = (),
     ) -> None:
+        self._verticals: list[tuple[int, Vertical, VerticalMemory]] = []
+        memory: VerticalMemory | None = None
+        for i, vertical in enumerate(verticals):
+            memory = None if memory is None else unchecked_replace(memory, since=memory.since + float(moved[i, -1]))
+            if vertical is not None and vertical.degrees_of_freedom:
+                memory = memory or VerticalMemory(moved.shape[1] - 1, vertical.lengths)
+                self._verticals.append((i, vertical, memory))
+                memory = memory.observe(vertical)
         images, sources, parts, constants = [], [], [], []
         self._constant = correlated_error(moved.shape[1])
         for i, posterior in enumerate(posteriors):
@@ -257,3 +269,10 @@ class Places:
         scale = np.where(usual, 1.0 - self.fraction[chosen], larger * lasts)
         whiten = np.linalg.inv(np.linalg.cholesky(scale[:, None, None] * self.covariance[chosen]))
         return whiten @ jacobian, (whiten @ residual[:, :, None])[:, :, 0]
+
+    def vertical_measurements(
+        self, chain: Chain
+    ) -> Iterator[tuple[int, Float64[np.ndarray, "k d"], Float64[np.ndarray, " k"]]]:
+        """Image, Jacobian and value of each vertical as a measurement of the state's change, in units of its error."""
+        for i, vertical, memory in self._verticals:
+            yield i, *whitened(vertical, chain.poses[i], chain.mean[i], memory)

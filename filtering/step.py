@@ -36,6 +36,7 @@ from filtering.posterior import PosePosterior
 from filtering.prediction import across_gap, gap_motion, leaps, moved, unknown_velocity, usual_speed, with_regimes
 from filtering.prediction import predict as predict_hypotheses
 from filtering.unchecked import unchecked_replace
+from filtering.vertical import Vertical, VerticalMemory, corrected_by
 
 _USUAL_S = 10.0  # time over which the usual agreement is averaged
 _DISAGREES = 0.5  # of the agreement of the other cameras, below which a camera is left out
@@ -66,6 +67,7 @@ def step(belief: Belief, observation: Observation, config: LocalizerConfig) -> t
             used.append(used_view)
     novelty = max([novelty, *(each.novelty for each in used)])
     belief = add_births(belief, used, novelty, config)
+    belief = measure_vertical(belief, observation.vertical)
     if informative or novelty > 0.0:
         belief = reduce(belief, config)
     belief = follow_agreement(belief, used, views, config)
@@ -95,7 +97,7 @@ def predict(
     bias, velocity = config.odometry_bias, unknown_velocity(noise, config.gap)
     likely = odometry.rescaled(odometry_bias_of(hypotheses)[0][0])
     after = {name: camera.predict(likely) for name, camera in belief.cameras.items()}
-    distances = _by_source(after)
+    distances, vertical = _by_source(after, belief.vertical)
     if sees:  # without images a failure would not show
         since_s = belief.unseen_s + odometry.duration_s
         rates = config.odometry_failures_per_s, config.odometry_failure_s
@@ -105,6 +107,7 @@ def predict(
         belief,
         hypotheses=after_motion,
         cameras={name: camera for name, (camera, _) in after.items()},
+        vertical=vertical,
         known=belief.known.carried(hypotheses, after_motion.poses, noise, config.modes),
         drift=None,
         unseen_s=belief.unseen_s + odometry.duration_s,
@@ -124,13 +127,14 @@ def _across_gap(belief: Belief, elapsed_s: float, config: LocalizerConfig) -> Be
         hypotheses = with_drift(hypotheses, np.zeros(6), np.eye(6))
     motion = gap_motion(hypotheses, belief.unseen_s, elapsed_s, gap)
     after = {name: camera.across_gap(motion) for name, camera in belief.cameras.items()}
-    distances = _by_source(after)
+    distances, vertical = _by_source(after, belief.vertical)
     forgets = gap.action == "forget"
     after_gap = across_gap(hypotheses, gap.velocity, elapsed_s, distances)
     return unchecked_replace(
         belief,
         hypotheses=after_gap,
         cameras={name: camera for name, (camera, _) in after.items()},
+        vertical=vertical,
         known=belief.known.carried(hypotheses, after_gap.poses, noise_of(belief), config.modes),
         drift=drift,
         agreement=0.0 if forgets else belief.agreement,
@@ -141,14 +145,21 @@ def _across_gap(belief: Belief, elapsed_s: float, config: LocalizerConfig) -> Be
     )
 
 
-def _by_source(after: Mapping[str, tuple[CameraMemory, list[float]]]) -> list[float]:
-    """Distances that cameras moved, in the order of the sources in the state."""
+def _by_source(
+    after: Mapping[str, tuple[CameraMemory, list[float]]], vertical: VerticalMemory | None
+) -> tuple[list[float], VerticalMemory | None]:
+    """Distances that cameras moved, in the order of the sources in the state, and the memory of verticals then.
+
+    Errors of a vertical last for lengths of the first camera's network.
+    """
     numbered = {
         source.number: distance
         for camera, distances in after.values()
         for source, distance in zip(camera.sources, distances, strict=True)
     }
-    return [numbered[number] for number in sorted(numbered)]
+    if vertical is not None:
+        vertical, numbered[vertical.number] = vertical.predict(numbered[0])
+    return [numbered[number] for number in sorted(numbered)], vertical
 
 
 @dataclass(frozen=True)
@@ -228,6 +239,17 @@ def agreement_of_others(belief: Belief, name: str) -> float:
     """The average agreement of all cameras but one, in [0, 1]; 0 where there is no other."""
     others = [camera.agreement for other, camera in belief.cameras.items() if other != name]
     return float(np.mean(others)) if others else 0.0
+
+
+def measure_vertical(belief: Belief, vertical: Vertical | None) -> Belief:
+    """Correct every hypothesis, newborn ones included, by gravity and height."""
+    if vertical is None or vertical.degrees_of_freedom == 0 or belief.hypotheses is None:
+        return belief
+    hypotheses, memory = belief.hypotheses, belief.vertical
+    if memory is None:
+        hypotheses, memory = with_source(hypotheses), VerticalMemory(belief.num_sources, vertical.lengths)
+    hypotheses = corrected_by(vertical, hypotheses, memory)
+    return unchecked_replace(belief, hypotheses=hypotheses, vertical=memory.observe(vertical))
 
 
 def add_births(belief: Belief, used: Sequence[UsedView], novelty: float, config: LocalizerConfig) -> Belief:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Int64, UInt8
@@ -62,6 +63,18 @@ class Camera:
         return Camera(width, height, self.fx, self.fy, self.cx - left, self.cy - top)
 
 
+class Gravity(NamedTuple):
+    """The direction of gravity.
+
+    Attributes:
+        up: Unit vector against it, about the axes of the camera that is localized.
+        std_rad: Standard deviation about each axis across it.
+    """
+
+    up: tuple[float, float, float]
+    std_rad: float
+
+
 @dataclass(frozen=True)
 class Frame:
     """One image of a sequence, with its time, odometry and true pose.
@@ -76,6 +89,7 @@ class Frame:
         sequence: Which sequence of its data set it is from, counted from 0, where a data set has several.
         camera_name: Which of several cameras took the image; '' where there is one.
         reference_from_camera: Pose of that camera in the one that is localized, one pose; None where it is that one.
+        gravity: By an inertial unit; None where it is unknown.
     """
 
     time_ns: int
@@ -86,6 +100,7 @@ class Frame:
     sequence: int = 0
     camera_name: str = ""
     reference_from_camera: Poses | None = None
+    gravity: Gravity | None = None
 
     @property
     def world_from_reference(self) -> Poses | None:

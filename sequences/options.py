@@ -102,6 +102,9 @@ class SequenceOptions(ReadingOptions):
     """Frame whose poses the true poses are. Default: the one that the messages name, else the camera itself."""
     ground_truth_origin: tuple[float, float, float] | None = None
     """Point to subtract from the positions of true poses, x y z in metres: for coordinates far from zero, as of UTM."""
+    imu_topic: str | None = None
+    """Topic of the inertial unit, sensor_msgs/Imu, whose gravity corrects the tilt; '' for none. Default: the one with
+    the most messages, where tf links it to the camera."""
     allow_few_images: bool = False
     """Localize also where fewer than one image in ten can be used."""
     start_s: float = 0.0

@@ -101,6 +101,11 @@ class SequenceReader:
         """Names of the cameras that are read, that of the localized one first."""
         return tuple(self._lenses)
 
+    @property
+    def localized_camera(self) -> str:
+        """Name of the camera that is localized, also where it is not read."""
+        return self._roles.cameras[0].name
+
     def cameras(self) -> Counter[Camera]:
         """How many images are of which camera, undistorted, whether used or not; of known cameras."""
         found = Counter[Camera]()

@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.frame import Camera
+from sequences.inertial.simulation import InertialNoise, simulate_inertial
 from sequences.odometry import OdometryNoise, simulate_odometry
 from sequences.paths import (
     EPOCH_NS,
@@ -257,13 +258,18 @@ def camera_of(name: str, width: int, height: int) -> Camera:
 
 
 def write_synthetic(
-    sequence: SyntheticSequence, output: Path, *, progress: Callable[[int, int], None] = lambda done, total: None
+    sequence: SyntheticSequence,
+    output: Path,
+    *,
+    inertial: InertialNoise | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> None:
     """Render a sequence into an MCAP file, with odometry, true poses and extrinsics.
 
     Args:
         sequence: From `synthesize`.
         output: The file; it appears when complete.
+        inertial: Errors of an inertial unit on the body, at the stamps of the odometry; None for no unit.
         progress: Called after every image with the number done and the number of all.
 
     Raises:
@@ -276,6 +282,8 @@ def write_synthetic(
     ) as writer:
         written = 0
         beside = {name: sequence.images(name) for name in sequence.others}
+        if inertial is not None:
+            _write_inertial(writer, sequence, inertial)
         for i, image in enumerate(sequence.images()):
             time_ns = int(sequence.image_times_ns[i])
             reached = int(np.searchsorted(sequence.odometry_times_ns, time_ns, side="right"))
@@ -287,6 +295,14 @@ def write_synthetic(
             writer.write_true_pose(time_ns, sequence.world_from_camera[i])
             progress(i + 1, len(sequence.image_times_ns))
         _write_odometry(writer, sequence, range(written, len(sequence.odometry_times_ns)))
+
+
+def _write_inertial(writer: SequenceWriter, sequence: SyntheticSequence, noise: InertialNoise) -> None:
+    own = np.random.SeedSequence(sequence.seed.entropy, spawn_key=(*sequence.seed.spawn_key, 1))
+    times_ns, rng = sequence.odometry_times_ns, np.random.default_rng(own)
+    force, turn = simulate_inertial(times_ns, sequence.world_from_base, noise, rng=rng)
+    for k, time_ns in enumerate(times_ns.tolist()):
+        writer.write_inertial(time_ns, force[k], turn[k])
 
 
 def _write_odometry(writer: SequenceWriter, sequence: SyntheticSequence, indices: range) -> None:

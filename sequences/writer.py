@@ -40,9 +40,10 @@ class MountedCamera:
 class SequenceWriter(MessageWriter):
     """Writes a sequence that `SequenceReader`, ROS 2 and Foxglove read; use it in a `with` statement.
 
-    Topics: `/camera/image/compressed`, `/camera/camera_info`, `/odom` (odom -> base_link), `/ground_truth/pose` (of the
-    camera, in map), `/tf_static` (base_link -> camera_optical_frame); of another camera the same under its own name.
-    Messages are logged at their stamps; write them roughly in order of time, so that readers need to hold little.
+    Topics: `/camera/image/compressed`, `/camera/camera_info`, `/odom` (odom -> base_link), `/imu` if there is one,
+    `/ground_truth/pose` (of the camera, in map), `/tf_static` (base_link -> camera_optical_frame); of another camera
+    the same under its own name. Messages are logged at their stamps; write them roughly in order of time, so that
+    readers need to hold little.
     """
 
     def __init__(
@@ -119,6 +120,18 @@ class SequenceWriter(MessageWriter):
             "twist": {"covariance": twist_covariance},
         }
         self._write("/odom", "nav_msgs/Odometry", message, time_ns)
+
+    def write_inertial(
+        self, time_ns: int, force: Float64[np.ndarray, "3"], turn_rate: Float64[np.ndarray, "3"]
+    ) -> None:
+        """Write one message of an inertial unit on the body: specific force, m/s², and turn rate, rad/s."""
+        message = {
+            "header": self._header(time_ns, BASE_FRAME),
+            "orientation_covariance": [-1.0, *[0.0] * 8],
+            "angular_velocity": turn_rate,
+            "linear_acceleration": force,
+        }
+        self._write("/imu", "sensor_msgs/Imu", message, time_ns)
 
     def write_true_pose(self, time_ns: int, world_from_camera: Poses) -> None:
         """Write one true pose of the camera."""

@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 import tyro
 
 from sequences.errors import SequenceError
+from sequences.inertial.simulation import InertialNoise
 from sequences.outputs import refuse_other
 from sequences.paths import Cues
 from sequences.scenes import scene_names
@@ -39,6 +40,8 @@ class Options:
     0 to 4 begin evenly spread over a tour of all of it."""
     cues: Cues | None = None
     """Something unique in the first half, at will, or never. Default: by the split."""
+    imu: bool = False
+    """Also an inertial unit on the body, with the errors of a small one."""
     width: int = 320
     """Image width in pixels."""
     height: int = 240
@@ -66,5 +69,6 @@ def main(arguments: Sequence[str]) -> None:
     except SequenceError as error:  # of numbers that no sequence can have
         usage_error("synthesize", str(error))
     with progress("rendering") as advance:
-        write_synthetic(sequence, o.output, progress=advance)
+        inertial = InertialNoise() if o.imu else None
+        write_synthetic(sequence, o.output, inertial=inertial, progress=advance)
     show(f"{o.output}: {o.frames} images, {o.output.stat().st_size / 1e6:.1f} MB")

@@ -14,6 +14,8 @@ from sequences.datasets.frames import as_its_own, posed_frames
 from sequences.datasets.listing import is_recording, list_images
 from sequences.errors import SequenceError
 from sequences.frame import Frame
+from sequences.inertial.samples import read_inertial
+from sequences.inertial.sequence import InertialSequence
 from sequences.options import OdometryUse, SequenceOptions, TruePoseUse
 from sequences.reader import SequenceReader
 from sequences.reading.counts import ImageCounts
@@ -107,7 +109,12 @@ class Source:
         start, stop = self._which.start or 0, self._which.stop
         number = -1  # of images with a true pose, by which a range counts; of all images where none has one
         taken = 0
-        frames = iter(reader)
+        samples, said = None, list[str]()
+        if reader.camera_names[0] == reader.localized_camera:  # about whose axes an inertial unit is read
+            localized = replace(self._reading or SequenceOptions(), image_topic=reader.localized_camera)
+            samples, said = read_inertial(self._path, localized)
+        inertial = InertialSequence(reader, samples, said)
+        frames = iter(inertial)
         for frame in frames:
             number += "true poses" in self.lacks or frame.world_from_camera is not None
             if stop is not None and number >= stop:
@@ -125,7 +132,7 @@ class Source:
         self.counts += counts
         few = [counts.warning] if counts.warning else []
         self.skipped += reader.skipped + (counts.skipped - reader.counts.skipped)
-        self.notices += [notice for notice in [*reader.notices, *few] if notice not in self.notices]
+        self.notices += [notice for notice in [*inertial.notices, *few] if notice not in self.notices]
 
     def _ask(self, what: str, *, odometry: OdometryUse, true_poses: TruePoseUse = "optional") -> None:
         """Note why something is missing, if it is."""

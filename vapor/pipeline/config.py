@@ -11,6 +11,7 @@ from sequences.frame import ASSUMED_HZ
 from vapor.engines.engine import Device, EngineConfig
 
 OdometrySource = Literal["auto", "recorded", "visual", "both", "none"]
+PlanarUse = Literal["auto", "yes", "no"]
 
 
 @dataclass(frozen=True)
@@ -67,6 +68,9 @@ class RunConfig(ModelConfig, FilteringConfig):
     odometry: OdometrySource = "auto"
     """auto: use odometry where it is recorded, and elsewhere make it from the images. recorded: require it. visual:
     make it from the images. both: these correct each other. none: each hypothesis moves with an unknown velocity."""
+    planar: PlanarUse = "auto"
+    """Whether the camera is on a robot that keeps it at one tilt and height above the floor: these are then known by
+    the training poses. auto: where these show it, while images agree. yes: with their spread, whatever it is."""
     localize_hz: float = 10.0
     """With visual odometry, localize so many images a second on average; those between them show the motion."""
     rate_hz: float = float(ASSUMED_HZ)
@@ -75,6 +79,7 @@ class RunConfig(ModelConfig, FilteringConfig):
     def __post_init__(self) -> None:
         ModelConfig.__post_init__(self)
         require_within(self, localize_hz=(1e-3, 1e6), rate_hz=(1e-3, 1e6))
-        if self.odometry not in (known := get_args(OdometrySource)):
-            raise VaporTrackError(f"odometry is {quoted(self.odometry)}, expected one of {', '.join(known)}")
+        for name, known in (("odometry", get_args(OdometrySource)), ("planar", get_args(PlanarUse))):
+            if (value := getattr(self, name)) not in known:
+                raise VaporTrackError(f"{name} is {quoted(value)}, expected one of {', '.join(known)}")
         FilteringConfig.__post_init__(self)

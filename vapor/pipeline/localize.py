@@ -20,8 +20,9 @@ from filtering.hindsight import FilterStep
 from filtering.localizer import ParticleLocalizer
 from filtering.measurement_noise import MeasurementNoise
 from filtering.observation import ONLY_CAMERA, Observation
-from filtering.posterior import ObservationModel
+from filtering.posterior import ObservationModel, PosePosterior
 from filtering.storeys import Storeys
+from filtering.vertical import Vertical
 from sequences.estimates.sequence import EstimateSequence
 from sequences.frame_source import FrameSource
 from sequences.odometry_fit.result import OdometryFit
@@ -75,6 +76,7 @@ def localize(
     observed: Callable[[Any], np.ndarray] = attrgetter("image"),
     odometry_fit: OdometryFit | None = None,
     storeys: Storeys | None = None,
+    vertical: Callable[[Any, PosePosterior], Vertical | None] = lambda frame, posterior: None,
     place: Place | None = None,
     allow_few_images: bool = False,
     progress: Callable[[int, int], None] | None = None,
@@ -90,6 +92,7 @@ def localize(
         observed: The observation of a frame.
         odometry_fit: Errors of the odometry; None for those that frames and settings state.
         storeys: Of the building, where there are several.
+        vertical: What is known of the vertical of a frame, also by its posterior.
         place: Where it happens, for the viewer.
         allow_few_images: Whether fewer than one in ten of the images asked for are enough.
         progress: Called after every frame with the number done and an upper bound of all.
@@ -121,6 +124,7 @@ def localize(
                 reference_from_camera=frame.reference_from_camera,
                 camera=frame.camera_name or ONLY_CAMERA,
             )
+            observation = replace(observation, vertical=vertical(frame, observation.posterior))
             yield frame, observation, 1e3 * (time.perf_counter() - begin)
             before_ns = frame.time_ns
 

@@ -15,6 +15,8 @@ from filtering.se3 import Poses
 from sequences.frame import Camera, Frame
 from sequences.frame_source import FrameSource
 from sequences.image_sequence import ImageSequence, is_image_sequence
+from sequences.inertial.samples import read_inertial
+from sequences.inertial.sequence import InertialSequence
 from sequences.odometry_fit.result import OdometryFit
 from sequences.options import OdometryUse, SequenceOptions
 from sequences.outputs import results_folder
@@ -30,6 +32,7 @@ from vapor.pipeline.localize import localize
 from vapor.pipeline.model import LoadedModel, load_model
 from vapor.pipeline.results import RESULTS, RunResult, write_results
 from vapor.pipeline.unrecognised import MOST_IMAGES, SeenImage, are_unrecognised, why_unrecognised
+from vapor.pipeline.verticals import Verticals
 from vapor.reporting.record import EvenlySpaced
 from vapor.reporting.rerun_place import Place
 from vapor.threads import limited_threads
@@ -106,7 +109,10 @@ def run_into(
     calibration = observation.description.calibration
     fit = calibration.odometry if config.fitted_odometry else None
     reader = _with_visual_odometry(reader, observation.description, config, fit)
+    visual = isinstance(reader, VisualSequence)  # which has restated the odometry
+    frames = _with_inertial(reader, reading, None if fit is None or visual else fit)
 
+    verticals = Verticals(observation.description, config.planar)
     some: EvenlySpaced[SeenImage] = EvenlySpaced(MOST_IMAGES)
     verified = VerifiedImages(observation)
 
@@ -116,18 +122,20 @@ def run_into(
         return frame.image
 
     with limited_threads(config.threads):
-        if isinstance(reader, VisualSequence):  # which has restated the odometry
+        restates = isinstance(frames, InertialSequence) and frames.measures_turns
+        if isinstance(reader, VisualSequence) or restates:
             usual = fit.odometry_bias if fit is not None else config.localizer.odometry_bias
-            bias = usual if reader.beside else VisualOdometry.bias
+            bias = VisualOdometry.bias if isinstance(reader, VisualSequence) and not reader.beside else usual
             config, fit = replace(config, localizer=replace(config.localizer, odometry_bias=bias)), None
         record = localize(
-            reader,
+            frames,
             verified,
             directory,
             config,
             calibration.errors,
             odometry_fit=fit,
             storeys=observation.storeys,
+            vertical=lambda frame, posterior: verticals.step(posterior, frame.gravity),
             place=Place.of_model(observation.description),
             allow_few_images=reading.allow_few_images,
             progress=progress,
@@ -148,7 +156,7 @@ def run_into(
         }
         made = config.odometry == "auto" and isinstance(reader, VisualSequence)
         missing = [_VISUAL] if made else [] if reader.has_odometry else [_NO_ODOMETRY]
-        notices = [*missing, *reader.notices, *observation.notices]
+        notices = [*missing, *frames.notices, *observation.notices, *verticals.notices]
         if are_unrecognised(record.status) and observation.description.ood_model is not None:
             notices.append(why_unrecognised(some.items, observation.ood_score))
         if (trained := observation.description.memory_poses) is not None:
@@ -203,6 +211,20 @@ def _with_visual_odometry(
             " intrinsics.json, or a model whose training images had them"
         )
     return reader
+
+
+def _with_inertial(frames: FrameSource, reading: SequenceOptions, fit: OdometryFit | None) -> FrameSource:
+    """The sequence with gravity and turns of an inertial unit, where its recording has one.
+
+    Args:
+        frames: The sequence.
+        reading: Its topic.
+        fit: Errors of its odometry; None for those that it states.
+    """
+    if is_image_sequence(frames.path):
+        return frames
+    localized = replace(reading, image_topic=frames.resolved["image_topic"].split(",")[0])
+    return InertialSequence(frames, *read_inertial(frames.path, localized), None if fit is None else fit.restated)
 
 
 class VerifiedImages:
