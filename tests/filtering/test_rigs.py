@@ -1,5 +1,7 @@
 """Several cameras on one robot."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -14,6 +16,7 @@ from filtering.observation import Observation, View
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from filtering.smoothing import SmoothingConfig, smooth
+from filtering.vertical import Vertical
 from tests.helpers.simulation import (
     AHEAD,
     ERRORS,
@@ -213,3 +216,30 @@ def test_a_frozen_camera_is_told_from_its_own_last_image_only():
     assert not localizer.observe(image, camera="left").is_uninformative
     assert not localizer.observe(image, camera="right").is_uninformative
     assert localizer.observe(image, camera="left").is_uninformative
+
+
+def test_cameras_and_gravity_may_come_in_any_order_in_filter_and_smoothers():
+    level = Vertical(up=(0.0, 0.0, 1.0), tilt_std_rad=0.002)
+    localizer, steps, truth, rng = new_localizer(), [], [], RNG(0)
+    first_seen = {"front": 0, "back": 10, "side": 30}  # and gravity with image 20
+    flat, pose = motion(0.1, 0, 0, 0, 0, 0.02), Poses.identity()
+    for i in range(60):
+        pose = pose @ flat.previous_from_current
+        for name in (name for name, first in first_seen.items() if i >= first):
+            mount = RIG[name]
+            seen = seen_at(pose @ mount @ Poses.exp(STD * rng.normal(size=6)))
+            odometry = (flat if name == "front" else Odometry.still(0.0)) if steps else None
+            observation = Observation.of_posterior(seen, odometry, 0.1, reference_from_camera=mount, camera=name)
+            observation = replace(observation, vertical=level if i >= 20 else None)
+            steps.append(FilterStep.of(observation, localizer.advance(observation)))
+            truth.append(pose)
+    poses = Poses.stack(truth)
+    smoothed = smooth(steps, ERRORS, SmoothingConfig.of_filter(LocalizerConfig())).best.poses
+    lag = FixedLagSmoother(1.0, ERRORS)
+    lagged = [pose for step in steps for pose in lag.update(step)] + lag.finish()
+    assert [each.number for each in lagged] == list(range(len(steps)))
+    filtered = Poses.stack([step.modes[0].world_from_camera for step in steps])
+    for found in (filtered, smoothed, Poses.stack([each.world_from_camera for each in lagged])):
+        assert found.distance(poses)[0].max() < 0.25
+        tilt = np.arccos(np.clip(found.rotation[60:, 2, 2], -1.0, 1.0))
+        assert tilt.max() < 0.01  # without gravity 0.05
