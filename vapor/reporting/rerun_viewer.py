@@ -85,7 +85,7 @@ class RerunViewer:
         self._stream.set_sinks(*sinks)
         self._stream.send_blueprint(run_blueprint(place, live=live))  # else a viewer keeps that of the place before
         self._rows = Rows(self._stream, 1 if (sinks and path is None) or spawn else _IMAGES_AT_ONCE)
-        self._image_from_camera: list[list[float]] = []
+        self._image_from_camera: dict[str, list[list[float]]] = {}  # by entity
         self._last_best: Poses | None = None
         self._last_truth: Poses | None = None
         self._last_status: Status | None = None
@@ -128,7 +128,7 @@ class RerunViewer:
 
         best, truth = estimate.modes[0].world_from_camera, frame.world_from_reference
         if frame.image.size:  # none with estimates of others
-            self._log_image(frame)
+            self._log_image(frame, best)
         self._rows.add(
             "world/camera", rr.Transform3D, translation=best.translation[None], mat3x3=best.rotation.reshape(1, 9)
         )
@@ -142,21 +142,25 @@ class RerunViewer:
             self._rows.add("world/truth", rr.LineStrips3D, strips=camera)
             self._log_step("world/path/truth", self._last_truth, truth, limit_m=np.inf)
 
-    def _log_image(self, frame: Frame) -> None:
+    def _log_image(self, frame: Frame, best: Poses) -> None:
         import rerun as rr
 
-        shown = Photograph.of(frame)
-        if shown.image_from_camera != self._image_from_camera:
-            self._image_from_camera = shown.image_from_camera
+        shown, entity, mount = Photograph.of(frame), "world/camera", frame.reference_from_camera
+        if mount is not None:
+            entity, pose = f"world/cameras/{rr.escape_entity_path_part(frame.camera_name)}", best @ mount
+            at, turned = pose.translation[None], pose.rotation.reshape(1, 9)
+            self._rows.add(entity, rr.Transform3D, translation=at, mat3x3=turned)
+        if shown.image_from_camera != self._image_from_camera.get(entity):
+            self._image_from_camera[entity] = shown.image_from_camera
             self._rows.add(
-                "world/camera",
+                entity,
                 rr.Pinhole,
                 image_from_camera=[shown.image_from_camera],
                 resolution=[[shown.width, shown.height]],
                 image_plane_distance=[self._camera_m],
                 color=[BEST],
             )
-        self._rows.add("world/camera", rr.EncodedImage, blob=[shown.jpeg], media_type=["image/jpeg"])
+        self._rows.add(entity, rr.EncodedImage, blob=[shown.jpeg], media_type=["image/jpeg"])
 
     def _log_step(self, entity: str, last: Poses | None, now: Poses, *, limit_m: float) -> None:
         """One segment an image: the view adds them up, and the recording grows with the path, not its square."""

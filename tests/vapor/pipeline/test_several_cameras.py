@@ -77,7 +77,7 @@ def test_a_camera_whose_mount_is_wrong_is_told(rig: Path, tmp_path: Path) -> Non
 def test_a_run_writes_a_pose_for_each_image_and_says_of_which_cameras(
     rig: Path, tiny_model: Path, tmp_path: Path
 ) -> None:
-    result = run(rig, str(tiny_model), tmp_path / "result", RunConfig(recording=False))
+    result = run(rig, str(tiny_model), tmp_path / "result", RunConfig())
     assert {name: each["images"] for name, each in result.report["cameras"].items()} == {
         FRONT: 12,
         LEFT: 12,
