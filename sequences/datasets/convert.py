@@ -12,6 +12,7 @@ import numpy as np
 from filtering.se3 import Poses
 from sequences.datasets.layout import PosedImages
 from sequences.datasets.layout_helpers.image_files import decoded_file, read_image_bytes
+from sequences.datasets.layout_helpers.packed import ImageFile
 from sequences.datasets.listing import list_images
 from sequences.errors import SequenceError
 from sequences.files import Rows
@@ -22,7 +23,7 @@ from sequences.odometry import OdometryNoise, simulate_odometry
 from sequences.reading.counts import uncovered
 from sequences.trajectories.interpolation import MAX_ODOMETRY_GAP_S, interpolate
 from sequences.trajectories.tum import read_tum
-from sequences.writer import SequenceWriter
+from sequences.writer import MountedCamera, SequenceWriter
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,7 @@ def convert(
     """Write a data set as an MCAP sequence; images are copied, not encoded again.
 
     Base and camera are one body, in the axes of a robot and of a camera. Where a data set has no time stamps they are
-    made up at 30 Hz.
+    made up at 30 Hz. Of other cameras on the same body the images of the same time are written beside.
 
     Args:
         dataset: As `sequences.datasets.listing.list_images` takes it.
@@ -95,23 +96,43 @@ def convert(
     if images.assumed_hz is not None:
         metadata["time_stamps"] = f"assumed, {images.assumed_hz} Hz"
     camera = _one_camera(images, dataset)
+    others = {
+        f"camera_{name}": MountedCamera(_one_camera(more, dataset), BASE_FROM_CAMERA @ mount)
+        for name, (more, mount) in images.others.items()
+    }
+    moments = _all_images(images)
     num_images = 0
-    with SequenceWriter(output, camera=camera, base_from_camera=BASE_FROM_CAMERA, metadata=metadata) as writer:
+    with SequenceWriter(
+        output, camera=camera, base_from_camera=BASE_FROM_CAMERA, others=others, metadata=metadata
+    ) as writer:
         next_odometry = 0
         rows = Rows("images", why_skipped)
-        for i, file in rows.each(enumerate(images.files)):
-            progress(i + 1, len(images))
-            time_ns = int(images.times_ns[i])
+        for done, (time_ns, name, i, file) in rows.each(enumerate(moments)):
+            progress(done + 1, len(moments))
             if isinstance(decoded := rows.use(decoded_file, file), str):
                 skipped[decoded] += 1
                 continue
             data = read_image_bytes(file)
             if track is not None:
                 next_odometry = _write_odometry(writer, track, next_odometry, time_ns)
-            writer.write_true_pose(time_ns, images.world_from_camera[i])
-            writer.write_encoded_image(time_ns, data, "png" if data[:4] == b"\x89PNG" else "jpeg")
+            format = "png" if data[:4] == b"\x89PNG" else "jpeg"
+            if name is None:
+                writer.write_true_pose(time_ns, images.world_from_camera[i])
+                writer.write_encoded_image(time_ns, data, format)
+            else:
+                writer.write_encoded_image(time_ns, data, format, f"camera_{name}")
             num_images += 1
     return ConversionSummary(num_images, dict(skipped), description, (*images.notices, *rows.notices))
+
+
+def _all_images(images: PosedImages) -> list[tuple[int, str | None, int, ImageFile]]:
+    """Stamp, other camera, number and file of all images in order of time; of other cameras, those of the same time."""
+    first_ns, last_ns = int(images.times_ns[0]), int(images.times_ns[-1])
+    found: list[tuple[int, str | None, int, ImageFile]] = []
+    for name, some in [(None, images), *((name, more) for name, (more, _) in images.others.items())]:
+        stamped = enumerate(zip(some.times_ns.tolist(), some.files, strict=True))
+        found += [(time_ns, name, i, file) for i, (time_ns, file) in stamped if first_ns <= time_ns <= last_ns]
+    return sorted(found, key=lambda image: (image[0], image[1] or ""))
 
 
 def _odometry(

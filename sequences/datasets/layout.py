@@ -29,7 +29,7 @@ where `list_images(path)` keeps to these rules:
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -58,6 +58,8 @@ class PosedImages:
         sequence: Index of the sequence each image is from, (n,); None where all are from one.
         notices: Sentences on skipped rows and images.
         read_points: Reads which points of a reconstruction the images show; None where there is none.
+        others: Images of other cameras on the same body, by name, and where each is mounted on this one:
+            reference_from_camera. `convert` writes them, too.
     """
 
     layout: str
@@ -70,6 +72,7 @@ class PosedImages:
     sequence: Int64[np.ndarray, " n"] | None = None
     notices: Sequence[str] = ()
     read_points: ReadPoints | None = None
+    others: Mapping[str, tuple[PosedImages, Poses]] = field(default_factory=dict)
 
     @classmethod
     def numbered(

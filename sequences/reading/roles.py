@@ -62,6 +62,13 @@ class Roles:
                 self.odometry = self.tree_odometry = self.extrinsics = None
         needed = self.truth_required and options.ground_truth_topic != ""  # an empty name asks for none
         self.truth = find_true_poses(bag, options, mount, required=needed, odometry=self._odometry_track)
+        if len(self.cameras) > 1 and self.truth is not None and self.truth.topic != TF:
+            mounted = self.truth.extrinsics
+            if mounted is not None and not mounted.path and mounted.body_from_camera.is_identity:
+                self.notices.append(
+                    f"true poses of {self.truth.label} are taken for those of {self.image.name}, the camera that is"
+                    " localized (the first in --image-topic)"
+                )
         if odometry == "ignored":
             self.odometry = self.tree_odometry = self.extrinsics = None
 

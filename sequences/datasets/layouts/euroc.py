@@ -2,8 +2,9 @@
 
 Burri, Nikolic, Gohl, Schneider, Rehder, Omari, Achtelik and Siegwart, "The EuRoC micro aerial vehicle datasets", IJRR
 2016. A row of the list is `timestamp [ns],filename`, the file in `mav0/cam0/data/`. `mav0/cam0/sensor.yaml` states the
-left camera: intrinsics, distortion, and its pose T_BS in the body. True poses are of the body, in whose frame their own
-`sensor.yaml`, where there is one, places what they are of; they are interpolated to the images' stamps.
+left camera: intrinsics, distortion, and its pose T_BS in the body; `cam1` and more beside it are alike. True poses are
+of the body, in whose frame their own `sensor.yaml`, where there is one, places what they are of; they are interpolated
+to the images' stamps.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from sequences.datasets.layout_helpers.pose_lists import list_stamped
 from sequences.datasets.layout_helpers.pose_rows import read_pose_matrix
 from sequences.errors import SequenceError
 from sequences.files import Rows, read_yaml
-from sequences.frame import Camera
+from sequences.frame import Camera, Trajectory
 from sequences.images.undistortion import DistortionModel, Lens
 from sequences.trajectories.pose_tables import read_pose_table
 from sequences.values import MAX_TIME_NS, parse_numbers, parse_whole
@@ -56,15 +57,23 @@ def list_images(path: Path) -> PosedImages | None:
     truth = read_pose_table(truth_file, rows=truth_rows)
     stated = truth_file.with_name("sensor.yaml")
     sensor_from_body = _body_from_sensor(stated).inverse() if stated.is_file() else Poses.identity()
-    calibration = folder / "cam0" / "sensor.yaml"
+    images, body_from_camera = _of_camera(folder / "cam0", truth, sensor_from_body)
+    others = {}
+    for beside in sorted(folder.glob("cam[1-9]")):
+        if (beside / "data.csv").is_file() and (beside / "sensor.yaml").is_file():
+            more, body_from_other = _of_camera(beside, truth, sensor_from_body)
+            others[beside.name] = more, body_from_camera.inverse() @ body_from_other
+    return replace(images, notices=[*truth_rows.notices, *images.notices], others=others)
+
+
+def _of_camera(folder: Path, truth: Trajectory, sensor_from_body: Poses) -> tuple[PosedImages, Poses]:
+    """Images of one camera, and its pose in the body."""
+    calibration = folder / "sensor.yaml"
     body_from_camera = _body_from_sensor(calibration)
-    cam0 = folder / "cam0"
-    images = list_stamped(_NAME, cam0, cam0 / "data.csv", cam0 / "data", _time_and_name, truth)
-    return replace(
-        images.with_camera(_read_camera(calibration, images.files)),
-        world_from_camera=images.world_from_camera @ (sensor_from_body @ body_from_camera),
-        notices=[*truth_rows.notices, *images.notices],
-    )
+    images = list_stamped(_NAME, folder, folder / "data.csv", folder / "data", _time_and_name, truth)
+    world_from_camera = images.world_from_camera @ (sensor_from_body @ body_from_camera)
+    camera = _read_camera(calibration, images.files)
+    return replace(images.with_camera(camera), world_from_camera=world_from_camera), body_from_camera
 
 
 def _time_and_name(line: str, where: str) -> tuple[int, str]:

@@ -1,5 +1,6 @@
 """EuRoC MAV in its published form -> images, poses, cameras and stamps."""
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -7,10 +8,12 @@ import numpy as np
 import pytest
 
 from filtering.se3 import Poses
+from sequences.datasets.convert import convert
 from sequences.datasets.frames import posed_frames
 from sequences.datasets.listing import list_images
 from sequences.frame import Frame
 from sequences.images.undistortion import Lens
+from sequences.reader import SequenceReader
 from tests.helpers import dot_scene
 from tests.helpers.dot_scene import (
     BEGIN_NS,
@@ -165,3 +168,28 @@ def test_what_a_euroc_sequence_leaves_out_is_counted(tmp_path: Path) -> None:
     }
     (folder / "mav0" / "state_groundtruth_estimate0" / "data.csv").unlink()
     refuse(folder, "state_groundtruth_estimate0/data.csv: no such file, expected the true poses")
+
+
+def test_both_cameras_of_euroc_are_converted_with_their_mounts(tmp_path: Path) -> None:
+    folder = make_euroc(tmp_path / "MH_01")
+    mav, moved = folder / "mav0", Poses.exp(np.array([0.11, 0.0, 0.01, 0.0, 0.02, 0.0]))
+    shutil.copytree(mav / "cam0", mav / "cam1")
+    body_from_left = np.array(dot_scene.T_BS).reshape(4, 4)
+    body_from_right = body_from_left @ moved.as_matrix()
+    text = sensor_yaml([0.0] * 4)
+    numbers = ", ".join(f"{value!r}" for value in body_from_right.reshape(-1).tolist())
+    begin, end = text.index("data: [") + 7, text.index("]", text.index("data: ["))
+    (mav / "cam1" / "sensor.yaml").write_text(text[:begin] + numbers + text[end:])
+    (more, mount) = list_images(folder).others["cam1"]
+    assert len(more) == len(EUROC_TIMES)
+    assert mount.distance(moved)[0] < 1e-6
+    summary = convert(folder, tmp_path / "both.mcap")
+    assert summary.num_images == 2 * len(EUROC_TIMES)
+    reader = SequenceReader(tmp_path / "both.mcap", odometry="unread")
+    frames = list(reader)
+    assert reader.camera_names == ("/camera/image/compressed", "/camera_cam1/image/compressed")
+    for left, right in zip(frames[::2], frames[1::2], strict=True):
+        np.testing.assert_array_equal(left.image, right.image)
+        assert (left.camera_name, right.camera_name) == reader.camera_names
+        assert right.reference_from_camera is not None
+        assert right.reference_from_camera.distance(moved)[0] < 1e-6

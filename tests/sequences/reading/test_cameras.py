@@ -28,6 +28,7 @@ def test_images_of_all_cameras_come_in_order_of_time_with_the_motion_of_the_firs
     assert all(one.time_ns < other.time_ns for one, other in pairwise(frames))
     assert reader.counts.are_complete
     assert reader.counts.used == len(frames) == reader.num_images
+    assert f"true poses of /ground_truth/pose are taken for those of {FRONT}" in reader.notices[0]
     travelled = world_from_camera(frames[0].time_ns)
     for number, frame in enumerate(frames):
         assert frame.world_from_camera is not None
