@@ -15,8 +15,6 @@ from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from filtering.unchecked import unchecked_replace
 
-_AGREEMENT_VIEWS = 5.0  # new views over which the agreement of a camera is averaged
-
 
 @dataclass(frozen=True)
 class Source:
@@ -85,17 +83,22 @@ class CameraMemory:
     Attributes:
         sources: Of its places, by the numbers of `PosePosterior.sources`: its network, and landmarks if there is a map.
         reference_from_camera: Its extrinsics at its last image.
-        agreement: Fraction of the belief that fits its latest new views, in [0, 1].
+        agreement: Fraction of the belief that fits its latest images with places, in [0, 1].
+        unseen_s: Seconds since the latest of these.
     """
 
     sources: tuple[Source, ...]
     reference_from_camera: Poses
     agreement: float = 1.0
+    unseen_s: float = 0.0
 
-    def after_view(self, fits: float, novelty: float) -> CameraMemory:
-        """After a view of this novelty, in [0, 1], that fits so much of the belief."""
-        follow = novelty / _AGREEMENT_VIEWS
-        return unchecked_replace(self, agreement=self.agreement + follow * (fits - self.agreement))
+    def later(self, elapsed_s: float) -> CameraMemory:
+        """After so many seconds."""
+        return unchecked_replace(self, unseen_s=self.unseen_s + elapsed_s)
+
+    def after_view(self, fits: float, follow: float) -> CameraMemory:
+        """After an image that fits so much of the belief, which the average follows by a fraction."""
+        return unchecked_replace(self, agreement=self.agreement + follow * (fits - self.agreement), unseen_s=0.0)
 
     @staticmethod
     def first_seen(view: View, number: int, *, unknown: float, adapts: bool) -> CameraMemory:

@@ -40,6 +40,7 @@ from filtering.vertical import Vertical, VerticalMemory, corrected_by
 
 _USUAL_S = 10.0  # time over which the usual agreement is averaged
 _DISAGREES = 0.5  # of the agreement of the other cameras, below which a camera is left out
+_RECENT_S = 2.0  # a camera sees places at this time that saw one within so many seconds
 
 
 def step(belief: Belief, observation: Observation, config: LocalizerConfig) -> tuple[Belief, Estimate]:
@@ -106,7 +107,7 @@ def predict(
     return unchecked_replace(
         belief,
         hypotheses=after_motion,
-        cameras={name: camera for name, (camera, _) in after.items()},
+        cameras={name: camera.later(odometry.duration_s) for name, (camera, _) in after.items()},
         vertical=vertical,
         known=belief.known.carried(hypotheses, after_motion.poses, noise, config.modes),
         drift=None,
@@ -133,7 +134,7 @@ def _across_gap(belief: Belief, elapsed_s: float, config: LocalizerConfig) -> Be
     return unchecked_replace(
         belief,
         hypotheses=after_gap,
-        cameras={name: camera for name, (camera, _) in after.items()},
+        cameras={name: camera.later(elapsed_s) for name, (camera, _) in after.items()},
         vertical=vertical,
         known=belief.known.carried(hypotheses, after_gap.poses, noise_of(belief), config.modes),
         drift=drift,
@@ -213,7 +214,7 @@ def measure(belief: Belief, view: View, config: LocalizerConfig) -> tuple[Belief
     pairs = gate(hypotheses, posterior, correlations)
     known = belief.known.innovated(hypotheses, pairs, noise_of(belief), config.modes)
     found = evidence(hypotheses, posterior, pairs, config.outlier_places)
-    camera = camera.after_view(found.agreement, novelty)
+    camera = camera.after_view(found.agreement, following(camera.unseen_s, config))
     hypotheses = hypotheses.reweighted(likelihood_power * found.log_likelihood)
     # What is unassigned may be at any place of the image.
     assigned = (1.0 - belief.unassigned) * float(np.exp(log_sum(hypotheses.log_weights)))
@@ -236,8 +237,10 @@ def disagrees(belief: Belief, name: str, config: LocalizerConfig) -> bool:
 
 
 def agreement_of_others(belief: Belief, name: str) -> float:
-    """The average agreement of all cameras but one, in [0, 1]; 0 where there is no other."""
-    others = [camera.agreement for other, camera in belief.cameras.items() if other != name]
+    """The average agreement of the cameras but one that see places at this time, in [0, 1]; 0 where none does."""
+    others = [
+        camera.agreement for other, camera in belief.cameras.items() if other != name and camera.unseen_s < _RECENT_S
+    ]
     return float(np.mean(others)) if others else 0.0
 
 
@@ -311,12 +314,17 @@ def follow_agreement(
     )
     if not used and not out_of_distribution:
         return belief
-    per_image = 1.0 / config.agreement_images
-    follow = min(-np.expm1(-belief.unseen_s / config.agreement_s), per_image) if belief.unseen_s > 0.0 else per_image
+    follow = following(belief.unseen_s, config)
     fits = sum(one.agreement for one in used) / (len(used) + out_of_distribution)
     agreement = belief.agreement + follow * (fits - belief.agreement)
     usual = belief.usual_agreement - np.expm1(-belief.unseen_s / _USUAL_S) * (agreement - belief.usual_agreement)
     return unchecked_replace(belief, agreement=agreement, usual_agreement=usual, unseen_s=0.0)
+
+
+def following(unseen_s: float, config: LocalizerConfig) -> float:
+    """Fraction by which an average agreement follows an image, so many seconds after the one before."""
+    per_image = 1.0 / config.agreement_images
+    return min(-float(np.expm1(-unseen_s / config.agreement_s)), per_image) if unseen_s > 0.0 else per_image
 
 
 # --- the beginning -------------------------------------------------------------------------------------
