@@ -1,4 +1,4 @@
-"""One step of the particle filter: predict, initialize where there is no belief, measure, add births, reduce, describe.
+"""One step of the particle filter: predict or initialize, measure, add births, correct by gravity, reduce, describe.
 
 Each stage takes a belief and gives the next one; nothing is changed in place.
 """

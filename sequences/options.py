@@ -105,6 +105,8 @@ class SequenceOptions(ReadingOptions):
     imu_topic: str | None = None
     """Topic of the inertial unit, sensor_msgs/Imu, whose gravity corrects the tilt; '' for none. Default: the one with
     the most messages, where tf links it to the camera."""
+    pressure_topic: str | None = None
+    """Topic of a barometer, sensor_msgs/FluidPressure, which shows rides in lifts; '' for none."""
     allow_few_images: bool = False
     """Localize also where fewer than one image in ten can be used."""
     start_s: float = 0.0

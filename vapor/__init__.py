@@ -17,10 +17,13 @@ if TYPE_CHECKING:
     from filtering.motion import Odometry as Odometry
     from filtering.observation import Observation as Observation
     from filtering.observation import View as View
+    from filtering.planar import HeightMap as HeightMap
     from filtering.posterior import ObservationModel as ObservationModel
     from filtering.posterior import PosePosterior as PosePosterior
     from filtering.se3 import Poses as Poses
     from filtering.storeys import Storeys as Storeys
+    from filtering.vertical import KnownHeight as KnownHeight
+    from filtering.vertical import Vertical as Vertical
     from sequences.image_sequence import ImageSequence as ImageSequence
     from sequences.reader import SequenceReader as SequenceReader
     from sequences.visual_odometry.odometry import VisualOdometry as VisualOdometry
@@ -46,7 +49,9 @@ _MODULES = {
     "Innovation": "filtering.estimate",
     "ModeTrajectory": "vapor.tracking.mode_trajectories",
     "Storeys": "filtering.storeys",
+    "HeightMap": "filtering.planar",
     "ImageSequence": "sequences.image_sequence",
+    "KnownHeight": "filtering.vertical",
     "LandmarkVerifier": "vapor.landmarks.verify",
     "LiveConfig": "vapor.robot.config",
     "LiveEstimate": "vapor.robot.belief",
@@ -64,6 +69,7 @@ _MODULES = {
     "TrainConfig": "vapor.training.config",
     "VaporObservationModel": "vapor.observation",
     "VaporTrackError": "filtering.errors",
+    "Vertical": "filtering.vertical",
     "View": "filtering.observation",
     "VisualOdometry": "sequences.visual_odometry.odometry",
     "calibrate_model": "vapor.calibration.calibrate",

@@ -1,7 +1,7 @@
-"""The direction of gravity by an accelerometer and a gyroscope: a complementary filter with a variance.
+"""The direction of gravity by an accelerometer and a gyroscope: a complementary filter with variances.
 
 Source: Mahony, Hamel and Pflimlin, "Nonlinear complementary filters on the special orthogonal group", 2008, of which
-this is the part that needs no heading; the gain is that of a scalar Kalman filter.
+this is the part that needs no heading; the gains are those of a Kalman filter of one angle and one bias.
 """
 
 from __future__ import annotations
@@ -16,9 +16,10 @@ from sequences.inertial.samples import STANDARD_GRAVITY, InertialSamples
 
 _GAP_S, _RECENT_S = 0.5, 0.1  # without samples: it begins anew; of the sample for a frame
 _STEADY_G, _LASTS_S = 0.01, 1.0  # accelerations of a frame that moves evenly; how long they last
+_AVERAGED_S, _UNSEEN_G = 0.2, 0.005  # of a length; its deviation at the beginning: a force of 0.1 g across
 _OTHERWISE_G = 0.2  # samples that differ from gravity by more say nothing of it
-_DRIFT_RAD_PER_SQRT_S, _UNKNOWN_TURN = 0.002, 0.5  # of a gyroscope whose bias is found; without one
-_BIAS_RAD_PER_S, _BIAS_S = 0.01, 20.0  # standard deviation of the bias before it is found; time that this takes
+_DRIFT_RAD_PER_SQRT_S, _UNKNOWN_TURN = 0.002, 0.5  # of a gyroscope whose bias is known; without one
+_BIAS_RAD_PER_S, _BIAS_CHANGES = 0.02, 1e-4  # standard deviations: of the bias, of its change in a second
 _MOUNT_RAD = 0.01  # standard deviation of how the unit is mounted
 
 
@@ -54,34 +55,39 @@ def gravity_along(samples: InertialSamples) -> GravityTrack:
     spaced_s = np.diff(samples.times_ns, prepend=samples.times_ns[0]) * 1e-9
     lengths = np.linalg.norm(samples.force, axis=1) / STANDARD_GRAVITY
     up: np.ndarray | None = None
-    variance, off, bias, passed_s = 0.0, _OTHERWISE_G**2, np.zeros(3), 0.0
+    usual = float(np.median(lengths[np.isfinite(lengths)])) if np.isfinite(lengths).any() else 1.0
+    bias, off, smooth = np.zeros(3), _UNSEEN_G, 0.0
+    # Variances of the direction and of the bias about each axis, and their covariance.
+    of_up, both, of_bias = 0.0, 0.0, _BIAS_RAD_PER_S**2
     for i, dt in enumerate(spaced_s.tolist()):
         if dt > _GAP_S:
-            up, off = None, _OTHERWISE_G**2
+            up, off, both = None, _UNSEEN_G, 0.0
         rate = samples.turn_rate[i]
-        if up is not None:
-            passed_s += dt
-            if np.isnan(rate[0]):
-                variance += _UNKNOWN_TURN**2 * dt
-            else:
-                up = _unit(up - np.cross(rate - bias, up) * dt)
-                of_bias = _BIAS_RAD_PER_S * np.exp(-passed_s / _BIAS_S)
-                variance += (_DRIFT_RAD_PER_SQRT_S**2 + of_bias**2 * _LASTS_S) * dt
+        of_bias = min(of_bias + _BIAS_CHANGES**2 * dt, _BIAS_RAD_PER_S**2)
+        if up is not None and np.isnan(rate[0]):
+            of_up += _UNKNOWN_TURN**2 * dt
+        elif up is not None:
+            up = _unit(up - np.cross(rate - bias, up) * dt)
+            of_up += 2.0 * dt * both + dt**2 * of_bias + _DRIFT_RAD_PER_SQRT_S**2 * dt
+            both += dt * of_bias
         length = lengths[i]
         if np.isfinite(length):
-            follow = min(dt / _LASTS_S, 1.0) if i else 1.0
-            off += follow * (min((length - 1.0) ** 2, _OTHERWISE_G**2) - off)
+            smooth += min(dt / _AVERAGED_S, 1.0) * (np.clip(length / usual - 1.0, -_OTHERWISE_G, _OTHERWISE_G) - smooth)
+            off += min(dt / _LASTS_S, 1.0) * (abs(smooth) - off)
             if abs(length - 1.0) < _OTHERWISE_G:
                 measured = samples.force[i] / (length * STANDARD_GRAVITY)
-                error = _STEADY_G**2 + 4.0 * off  # accelerations along and across are as large
+                error = _STEADY_G**2 + 2.0 * off  # a force across gravity lengthens it by half its square
                 if up is None:
-                    up, variance = measured, error
+                    up, of_up, both = measured, error, 0.0
                 else:
-                    gain = variance / (variance + error * _LASTS_S / max(dt, 1e-6))
-                    bias = bias + gain / _BIAS_S * np.cross(up, measured)
-                    up, variance = _unit(up + gain * (measured - up)), (1.0 - gain) * variance
+                    innovation = of_up + error * _LASTS_S / max(dt, 1e-6)
+                    gain, of_rate = of_up / innovation, both / innovation
+                    bias = bias + of_rate * np.cross(up, measured)
+                    up = _unit(up + gain * (measured - up))
+                    of_bias -= of_rate * both
+                    of_up, both = (1.0 - gain) * of_up, (1.0 - gain) * both
         if up is not None:
-            directions[i], stds[i] = up, np.sqrt(variance + _MOUNT_RAD**2)
+            directions[i], stds[i] = up, np.sqrt(of_up + _MOUNT_RAD**2)
     return GravityTrack(samples.times_ns, directions, stds)
 
 

@@ -180,12 +180,13 @@ def prepared(
         rate[:] = np.nan
     up, std_rad = _orientation_up(table)
     if up is not None:
-        cosine = np.vecdot(up, force) / np.linalg.norm(force, axis=1)
+        cosine = np.vecdot(up, force) / np.maximum(np.linalg.norm(force, axis=1), 1e-12)
         cosine = cosine[np.isfinite(cosine)]
-        if len(cosine) and np.median(cosine) < np.cos(_AGREE_RAD):
+        off_rad = float(np.arccos(np.clip(np.median(cosine), -1.0, 1.0))) if len(cosine) else 0.0
+        if off_rad > _AGREE_RAD:
             notices.append(
-                f"{name}: its orientation is off the specific force by {np.degrees(np.arccos(np.median(cosine))):.0f}°"
-                " (median), and not used"
+                f"{name}: its orientation is off the specific force by {np.degrees(off_rad):.0f}° (median), and not"
+                " used"
             )
             up = None
     return InertialSamples(

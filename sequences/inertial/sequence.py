@@ -14,6 +14,7 @@ from filtering.se3 import Poses
 from filtering.storeys import up_axis
 from sequences.frame import Frame, Gravity
 from sequences.frame_source import FrameSource
+from sequences.inertial.barometer import LiftRides, Ride
 from sequences.inertial.gravity import gravity_along
 from sequences.inertial.gyroscope import GyroscopeFusion
 from sequences.inertial.samples import InertialSamples
@@ -23,12 +24,12 @@ _FEWEST, _VARIES_DEG = 10, 10.0  # frames with gravity and a true pose; median a
 
 
 class InertialSequence:
-    """The frames of another sequence with gravity, and with odometry whose rotation a gyroscope corrects.
+    """The frames of another sequence with gravity, and with odometry that a gyroscope and a barometer correct.
 
     All else is as of the other sequence.
 
     Attributes:
-        measures_turns: Whether there is a gyroscope.
+        corrects_odometry: Whether there is a gyroscope, or a ride in a lift.
     """
 
     def __init__(
@@ -37,6 +38,9 @@ class InertialSequence:
         samples: InertialSamples | None,
         notices: list[str],
         restated: Callable[[Odometry], Odometry] | None = None,
+        *,
+        rides: Sequence[Ride] = (),
+        usual_up: tuple[float, float, float] | None = None,
     ) -> None:
         """Around a sequence.
 
@@ -44,10 +48,14 @@ class InertialSequence:
             frames: The sequence.
             samples: Of the unit, about the axes of the camera; None for none.
             notices: Of reading them.
-            restated: Gives the odometry of the frames with its fitted noise, where the unit measures turns.
+            restated: Gives the odometry of the frames with its fitted noise, where it is corrected.
+            rides: In lifts, by a barometer.
+            usual_up: Up about the axes of the camera where no gravity is known, as of a robot; None where it varies.
         """
+        self._rides, self._usual_up, self._lifts = list(rides), usual_up, LiftRides([])
         self._samples = samples
-        self.measures_turns = samples is not None and bool(np.isfinite(samples.turn_rate).any())
+        measures_turns = samples is not None and bool(np.isfinite(samples.turn_rate).any())
+        self.corrects_odometry = measures_turns or len(self._rides) > 0
         self._restated, self._gyroscope = restated, None if samples is None else GyroscopeFusion(samples)
         self._frames, self._notices = frames, notices
         self._gravity = None if samples is None else gravity_along(samples)
@@ -79,7 +87,7 @@ class InertialSequence:
         missing = []
         if self._num_without:
             missing = [f"{self._num_without} of {self._num_frames} images have no gravity: gaps of the inertial unit"]
-        turns = [] if self._gyroscope is None else self._gyroscope.notices
+        turns = [*self._lifts.notices, *([] if self._gyroscope is None else self._gyroscope.notices)]
         return [*self._frames.notices, *self._notices, *missing, *turns, *beside_true_poses(self._with_truth)]
 
     def __iter__(self) -> Iterator[Frame]:
@@ -87,29 +95,30 @@ class InertialSequence:
         self._num_frames = self._num_without = 0
         self._with_truth = []
         self._gyroscope = None if self._samples is None else GyroscopeFusion(self._samples)
+        self._lifts = LiftRides(self._rides)
         before_ns: int | None = None
         for frame in self._frames:
-            if self._gravity is None:
-                yield frame
-                continue
-            gravity = self._gravity.at(frame.time_ns)
+            gravity = None if self._gravity is None else self._gravity.at(frame.time_ns)
             self._num_frames += 1
-            self._num_without += gravity is None
+            self._num_without += self._gravity is not None and gravity is None
             if gravity is not None and frame.world_from_reference is not None:
                 self._with_truth.append((frame.world_from_reference, gravity))
-            odometry = self._corrected(before_ns, frame)
+            odometry = self._corrected(before_ns, frame, self._usual_up if gravity is None else gravity.up)
             before_ns = frame.time_ns
             yield replace(frame, gravity=gravity, odometry=odometry)
 
-    def _corrected(self, before_ns: int | None, frame: Frame) -> Odometry | None:
-        """The odometry of a frame with its rotation corrected by the gyroscope."""
+    def _corrected(self, before_ns: int | None, frame: Frame, up: tuple[float, float, float] | None) -> Odometry | None:
+        """The odometry of a frame with its rotation corrected by the gyroscope, and with the heights of rides."""
         odometry = frame.odometry
-        if odometry is None or before_ns is None or self._gyroscope is None or not self.measures_turns:
+        if odometry is None or before_ns is None or not self.corrects_odometry:
             return odometry
         if odometry.duration_s == 0.0:  # of the images of several cameras at one time
             return odometry
         if self._restated is not None:
             odometry = self._restated(odometry)
+        odometry = self._lifts.step(before_ns, frame.time_ns, odometry, up)
+        if self._gyroscope is None:
+            return odometry
         return self._gyroscope.step(before_ns, frame.time_ns, odometry)
 
 

@@ -15,6 +15,7 @@ from filtering.se3 import Poses
 from sequences.frame import Camera, Frame
 from sequences.frame_source import FrameSource
 from sequences.image_sequence import ImageSequence, is_image_sequence
+from sequences.inertial.barometer import read_rides
 from sequences.inertial.samples import read_inertial
 from sequences.inertial.sequence import InertialSequence
 from sequences.odometry_fit.result import OdometryFit
@@ -110,9 +111,9 @@ def run_into(
     fit = calibration.odometry if config.fitted_odometry else None
     reader = _with_visual_odometry(reader, observation.description, config, fit)
     visual = isinstance(reader, VisualSequence)  # which has restated the odometry
-    frames = _with_inertial(reader, reading, None if fit is None or visual else fit)
-
     verticals = Verticals(observation.description, config.planar)
+    frames = _with_inertial(reader, reading, None if fit is None or visual else fit, verticals)
+
     some: EvenlySpaced[SeenImage] = EvenlySpaced(MOST_IMAGES)
     verified = VerifiedImages(observation)
 
@@ -122,7 +123,7 @@ def run_into(
         return frame.image
 
     with limited_threads(config.threads):
-        restates = isinstance(frames, InertialSequence) and frames.measures_turns
+        restates = isinstance(frames, InertialSequence) and frames.corrects_odometry
         if isinstance(reader, VisualSequence) or restates:
             usual = fit.odometry_bias if fit is not None else config.localizer.odometry_bias
             bias = VisualOdometry.bias if isinstance(reader, VisualSequence) and not reader.beside else usual
@@ -213,18 +214,25 @@ def _with_visual_odometry(
     return reader
 
 
-def _with_inertial(frames: FrameSource, reading: SequenceOptions, fit: OdometryFit | None) -> FrameSource:
-    """The sequence with gravity and turns of an inertial unit, where its recording has one.
+def _with_inertial(
+    frames: FrameSource, reading: SequenceOptions, fit: OdometryFit | None, verticals: Verticals
+) -> FrameSource:
+    """The sequence with gravity and turns of an inertial unit and with rides in lifts, where its recording has them.
 
     Args:
         frames: The sequence.
         reading: Its topic.
         fit: Errors of its odometry; None for those that it states.
+        verticals: Which way is up for a robot.
     """
     if is_image_sequence(frames.path):
         return frames
     localized = replace(reading, image_topic=frames.resolved["image_topic"].split(",")[0])
-    return InertialSequence(frames, *read_inertial(frames.path, localized), None if fit is None else fit.restated)
+    samples, notices = read_inertial(frames.path, localized)
+    rides, of_pressure = read_rides(frames.path, reading)
+    restated = None if fit is None else fit.restated
+    notices = [*notices, *of_pressure]
+    return InertialSequence(frames, samples, notices, restated, rides=rides, usual_up=verticals.usual_up)
 
 
 class VerifiedImages:

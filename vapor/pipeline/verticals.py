@@ -73,6 +73,11 @@ class Verticals:
         return _together(vertical, measured) if vertical is not None and measured is not None else vertical or measured
 
     @property
+    def usual_up(self) -> tuple[float, float, float] | None:
+        """Up about the axes of a robot's camera; None where the tilt is not that of a robot."""
+        return None if self._planar is None else self._planar.vertical.up
+
+    @property
     def notices(self) -> list[str]:
         """Sentences for users, by the images so far."""
         notices, watch, gravity = [], self._watch, self._gravity_watch
