@@ -25,6 +25,7 @@ _FEATURES = 2048  # of an image, at most: more make matching slow, and place few
 _FOCAL = 0.85  # of the longer edge, a first guess where intrinsics are unknown: about 61° wide
 _AT_ONCE = 8, 400  # images and pairs between two reports of progress
 _SEED = 0
+_FATAL = 3
 
 Progress = Callable[[str, int, int | None], None]
 """Called with a stage, how much of it is done, and of how much."""
@@ -69,7 +70,7 @@ def require_pycolmap() -> Any:
         found = importlib.import_module("pycolmap")
     except ImportError as error:
         raise SequenceError("pycolmap is not installed, expected it: pip install vapor-track[map]") from error
-    found.logging.minloglevel = found.logging.FATAL.value if hasattr(found.logging.FATAL, "value") else 3
+    found.logging.minloglevel = _FATAL  # it prints what it finds; what matters of it is said in our words
     return found
 
 
