@@ -18,7 +18,7 @@ _PARTS = 6  # of a walk, whose scales are compared
 _MOVED_M = 0.3  # that a walk must have moved to give a scale
 _NEAR_S, _NEAR = 1.0, 1.5  # within which of a moment an image must be placed: seconds, or images without time stamps
 _USUAL_DEPTH = 3.0  # units from cameras to points, where no scale is known
-_HELD = 0.1  # how much cameras are expected to be held upright, beside not being rolled
+_HELD = 0.01  # how much cameras are expected to be held upright, beside not being rolled
 
 
 @dataclass(frozen=True)

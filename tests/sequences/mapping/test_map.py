@@ -16,7 +16,7 @@ from sequences.outputs import verify
 from tests.helpers.room_walks import BEGIN_NS, STEP_NS, views, write_images, write_recording
 from tests.helpers.textured_room import walk
 
-FIRST, SECOND = walk(16, 1), walk(12, 2)
+FIRST, SECOND = walk(12, 1), walk(10, 2)
 
 
 @pytest.fixture(scope="module")
@@ -55,8 +55,8 @@ def similarity(found: np.ndarray, true: np.ndarray) -> tuple[float, np.ndarray]:
 def test_images_get_their_poses_in_metres_and_in_one_frame_for_all_walks(mapped):
     output, result, _ = mapped
     images, true = list_images(output), true_poses(list_images(output))
-    assert result.placed == result.images == len(images) == 28
-    assert result.walks == {"robot": (16, 16), "phone": (12, 12)}
+    assert result.placed == result.images == len(images) == 22
+    assert result.walks == {"robot": (12, 12), "phone": (10, 10)}
     scale, rotation = similarity(images.world_from_camera.translation, true.translation)
     assert scale == pytest.approx(1.0, abs=0.01)
     aligned = images.world_from_camera.translation @ rotation.T
@@ -98,10 +98,10 @@ def test_intrinsics_that_are_known_are_kept_and_others_are_found(mapped):
 
 def test_every_stage_is_reported(mapped):
     assert mapped[2] == {
-        "choosing images": (28, None),
-        "finding features": (28, 28),
-        "matching pairs": (378, 378),
-        "placing images": (28, 28),
+        "choosing images": (22, None),
+        "finding features": (22, 22),
+        "matching pairs": (231, 231),
+        "placing images": (22, 22),
     }
 
 
@@ -119,8 +119,8 @@ def test_the_folder_says_what_was_made_and_its_manifest_holds(mapped):
 @pytest.mark.parametrize(
     ("poses", "said"),
     [
-        (walk(12, 1, moves=False), "the camera turned on the spot"),
-        (walk(1, 1)[[0] * 12], "the picture stands still"),
+        (walk(10, 1, moves=False), "the camera turned on the spot"),
+        (walk(1, 1)[[0] * 10], "the picture stands still"),
     ],
 )
 def test_it_says_why_no_image_could_be_placed(poses, said, tmp_path):
