@@ -76,7 +76,7 @@ def files_read(path: Path) -> Iterator[Path]:
 
 
 def _what_is_there(path: Path) -> str:
-    no_poses = f"images without true poses: first `vapor-track map {path} --output place/`, which makes the data place/"
+    no_poses = f"images without true poses (`vapor-track map {path} --output place/` makes them)"
     if _is_video(path):
         return no_poses
     if path.is_file():
@@ -87,10 +87,9 @@ def _what_is_there(path: Path) -> str:
     folders_first = sorted(names, key=lambda name: "." in name)
     if splits := [name for name in folders_first if (path / name).exists()]:
         return f"no sequence or data set, perhaps its {' or '.join(splits)} is meant"
-    if images_in(path):
-        return no_poses
     looked_for = f"looked for an .mcap file, metadata.yaml, {', '.join(layout.looked_for for layout in find_layouts())}"
-    return f"{'no sequence or data set' if path.exists() else 'no such folder or file'}; {looked_for}"
+    found = "no sequence or data set" if path.exists() else "no such folder or file"
+    return f"{no_poses if images_in(path) else found}; {looked_for}"
 
 
 def is_recording(path: Path) -> bool:

@@ -205,7 +205,7 @@ def _only_candidate(
     raise SequenceError(
         f"{bag.path}: no true poses: expected a topic of type {', '.join(POSE_TYPES)}, a frame of tf in which"
         f" {mount.camera!r} moves (found frames: {', '.join(tree.frames) or 'none'}), or a file of poses (--poses);"
-        f" `vapor-track map {bag.path} --output place/` makes them of the images; {listing(bag.topics.values())}"
+        f" `vapor-track map {bag.path} --output place/` makes them; {listing(bag.topics.values())}"
     )
 
 
