@@ -13,8 +13,9 @@ licences as stated by the packages; made by `python docs/licences.py > docs/lice
 optional extra (`evo`, `export`, `live`, `map`, `openvino`, `video`) that needs a package.
 
 Packages under the GPL come with extras only: evo is GPL-3.0; PyAV is BSD, but its wheels carry FFmpeg with encoders
-under the GPL; pycolmap is BSD, but its wheels carry parts of SuiteSparse (CHOLMOD, SPQR) under the GPL. Wheels of NumPy, SciPy, OpenCV and others carry libraries whose licences are not in this table;
-opencv-python-headless has FFmpeg under the LGPL-2.1. The GPL of gcc's runtime libraries, in wheels of
+under the GPL; pycolmap is BSD, but its wheels carry parts of SuiteSparse (CHOLMOD, SPQR) under the GPL. Wheels of
+NumPy, SciPy, OpenCV and others carry libraries whose licences are not in this table; opencv-python-headless has FFmpeg
+under the LGPL-2.1. The GPL of gcc's runtime libraries, in wheels of
 NumPy and SciPy, has an exception: programs that link to them keep their own licence.
 """
 

@@ -247,7 +247,9 @@ def _refuse_lost(directory: Path, unexpected: Collection[str], reads: Iterable[P
             raise SequenceError(f"{lost[0]}: is read, and would be written to; expected another folder for the results")
     for name in names:
         if name in unexpected and (directory / name).is_dir():
-            raise SequenceError(f"{directory / name}: is a folder, expected none of a file's name")
+            raise SequenceError(
+                f"{directory / name}: is a folder, not of unchanged results; expected none of that name"
+            )
 
 
 def _replace_files(work: Path, names: Collection[str], reads: Iterable[Path]) -> None:

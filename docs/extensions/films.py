@@ -39,7 +39,9 @@ def film(path: str, *, seed: int, seconds: float, begin: float, turns: float) ->
     x, y = _MIDDLE[0] + _RADII[0] * np.cos(at), _MIDDLE[1] + _RADII[1] * np.sin(at) * (1.0 + 0.1 * swing)
     z = _EYES_M + 0.04 * np.sin(9.0 * at)
     heading, down, none = np.arctan2(_MIDDLE[1] - y, _MIDDLE[0] - x) + 0.45 * swing, 0.15 + 0.1 * swing, 0.0 * at
-    turned = Poses.exp(np.stack([none] * 5 + [heading], axis=1)) @ Poses.exp(np.stack([none] * 4 + [down, none], axis=1))
+    turned = Poses.exp(np.stack([none] * 5 + [heading], axis=1)) @ Poses.exp(
+        np.stack([none] * 4 + [down, none], axis=1)
+    )
     phone = Poses(turned.rotation, np.stack([x, y, z], axis=1)) @ BASE_FROM_CAMERA
     office = replace(office, world_from_base=phone @ office.base_from_camera.inverse())
     writer = cv2.VideoWriter(str(Path(path)), cv2.VideoWriter.fourcc(*"mp4v"), RATE_HZ, SIZE)

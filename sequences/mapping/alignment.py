@@ -120,29 +120,46 @@ def _by_distance(walks: Sequence[Walk], placed: Placed, config: MapConfig) -> Sc
     return Scale(config.distance_m / units, f"{config.distance_m:g} m between {moments}")
 
 
+def require_moments(walks: Sequence[Walk], config: MapConfig) -> None:
+    """Raise SequenceError where a measured distance is between moments of no walk, or behind the end of one."""
+    for moment in map(Moment.of, config.between):
+        walk = _walk_of(walks, moment)
+        last = _last(walk)
+        if moment.at > last and moment.at != np.inf:
+            raise SequenceError(f"--between {moment.text}: {walk.name} ends at {last:.1f}{_unit(walk)}")
+
+
+def _walk_of(walks: Sequence[Walk], moment: Moment) -> Walk:
+    if moment.walk is None:
+        return walks[0]
+    names = [walk.name for walk in walks]
+    if moment.walk not in names:
+        raise SequenceError(f"--between {moment.text}: no such input, expected one of {', '.join(names)}")
+    return walks[names.index(moment.walk)]
+
+
+def _last(walk: Walk) -> float:
+    return 1e-9 * (walk.end_ns - walk.begin_ns) if walk.has_stamps else float(walk.pictures[-1].number)
+
+
+def _unit(walk: Walk) -> str:
+    return " s" if walk.has_stamps else ""
+
+
 def _position(walks: Sequence[Walk], placed: Placed, moment: Moment) -> Float64[np.ndarray, " 3"]:
     """Where the camera was, in the model; between two images on the line between them."""
-    names = [walk.name for walk in walks]
-    if moment.walk is not None and moment.walk not in names:
-        raise SequenceError(f"--between {moment.text}: no such input, expected one of {', '.join(names)}")
-    walk = walks[0 if moment.walk is None else names.index(moment.walk)]
-    begin_ns = walk.begin_ns
+    walk = _walk_of(walks, moment)
     at = {
-        1e-9 * (p.time_ns - begin_ns) if walk.has_stamps else float(p.number): placed[p.name].translation
+        1e-9 * (p.time_ns - walk.begin_ns) if walk.has_stamps else float(p.number): placed[p.name].translation
         for p in walk.pictures
         if p.name in placed
     }
-    last = 1e-9 * (walk.end_ns - begin_ns) if walk.has_stamps else float(walk.pictures[-1].number)
-    wanted = min(moment.at, last)
-    apart = min((abs(each - wanted) for each in at), default=np.inf)
-    if moment.at not in (wanted, np.inf) or apart > (_NEAR_S if walk.has_stamps else _NEAR):
-        unit = " s" if walk.has_stamps else ""
-        ends = f"it has images to {last:.1f}{unit}"
-        nearest = min(at, key=lambda each: abs(each - wanted), default=None)
-        near = "none is placed" if nearest is None else f"the nearest placed image is at {nearest:.1f}{unit}"
-        raise SequenceError(f"--between {moment.text}: no image of {walk.name} is placed there; {ends}, {near}")
-    times = np.array([*at])
-    positions = np.array([*at.values()])
+    wanted = min(moment.at, _last(walk))
+    nearest = min(at, key=lambda each: abs(each - wanted), default=np.inf)
+    if abs(nearest - wanted) > (_NEAR_S if walk.has_stamps else _NEAR):
+        near = f"the nearest one is at {nearest:.1f}{_unit(walk)}" if at else "none of it is"
+        raise SequenceError(f"--between {moment.text}: no image of {walk.name} is placed there, {near}")
+    times, positions = np.array([*at]), np.array([*at.values()])
     return np.array([np.interp(wanted, times, positions[:, axis]) for axis in range(3)])
 
 

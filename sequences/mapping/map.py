@@ -13,7 +13,7 @@ from jaxtyping import Float64
 
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
-from sequences.mapping.alignment import Scale, find_scale, upright
+from sequences.mapping.alignment import Scale, find_scale, require_moments, upright
 from sequences.mapping.colmap import LEAST, Progress, Reconstructed, reconstruct, require_pycolmap
 from sequences.mapping.config import MapConfig
 from sequences.mapping.diagnosis import what_is_missing, why_no_model
@@ -96,6 +96,7 @@ def map_images(
         total = sum(len(walk.pictures) for walk in walks)
         if total < LEAST:
             raise SequenceError(f"{_names(inputs)}: {total} images, expected at least {LEAST}")
+        require_moments(walks, config)
         work.mkdir()
         found = reconstruct(walks, images, work, progress)
         if not found.models:
@@ -162,7 +163,7 @@ def _said_of_scale(scale: Scale) -> list[str]:
     if scale.spread is not None and scale.spread > _WIDE_SPREAD:
         return [
             f"the scale varies by {100 * scale.spread:.0f} % from part to part of the walks: {scale.source} and images"
-            " do not agree"
+            " do not agree; perhaps places that look alike were taken for one, or wheels slipped"
         ]
     return []
 

@@ -105,8 +105,9 @@ def test_every_stage_is_reported(mapped):
     }
 
 
-def test_the_folder_says_what_was_made_and_its_manifest_holds(mapped):
-    output, result, _ = mapped
+def test_the_folder_says_what_was_made_and_its_manifest_holds(mapped, tmp_path):
+    (made, result, _), output = mapped, tmp_path / "place"
+    shutil.copytree(made, output)
     stated = json.loads((output / "map.json").read_text())
     assert stated["scale"]["source"] == "recorded odometry of robot"
     assert stated["placed"] == result.placed
@@ -153,3 +154,12 @@ def test_the_same_images_give_the_same_model_and_replace_an_earlier_one(inputs, 
     (output / "mine.txt").write_text("mine")
     with pytest.raises(SequenceError, match=r"holds mine\.txt, expected an empty folder or unchanged results"):
         map_images([folder], output)
+
+
+def test_a_failed_map_keeps_the_earlier_one(inputs, mapped, tmp_path):
+    place = tmp_path / "place"
+    shutil.copytree(mapped[0], place)
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    with pytest.raises(SequenceError, match="--between soup@end: no such input, expected one of robot, phone"):
+        map_images(inputs, place, MapConfig(distance_m=1.0, between=("start", "soup@end")), overwrite=True)
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
