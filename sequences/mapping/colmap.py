@@ -1,8 +1,9 @@
-"""Structure from motion by COLMAP: features, matches, and models of the images that match (Schönberger 2016)."""
+"""Structure from motion by COLMAP: features, matches, and one model of all images (GLOMAP; Pan et al., ECCV 2024)."""
 
 from __future__ import annotations
 
 import importlib
+import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float64, Int64, UInt8
+from scipy.sparse.csgraph import connected_components
 
 from sequences.errors import SequenceError
 from sequences.frame import Camera
@@ -23,8 +25,12 @@ LEAST = 10
 """Images of a model, at least."""
 _FEATURES = 2048  # of an image, at most: more make matching slow, and place few more images
 _FOCAL = 0.85  # of the longer edge, a first guess where intrinsics are unknown: about 61° wide
+_AGREE, _AGREE_PX = 0.004, (1.0, 4.0)  # of the longer edge: how far features may be off the geometry of a pair
+_PAIR, _PAIR_SHARE = 20, 0.25  # features of a pair that must agree, and of those that look alike
+_SHARED = 20  # points by which an image is held to the others; by fewer, parts of a model lie where they happen to
 _AT_ONCE = 8, 400  # images and pairs between two reports of progress
 _SEED = 0
+_WAIT_S = 0.1  # for COLMAP, between two looks at signals
 _FATAL = 3
 
 Progress = Callable[[str, int, int | None], None]
@@ -54,12 +60,15 @@ class Reconstructed:
     """What COLMAP made of images.
 
     Attributes:
-        models: Models of images that are connected, that of most images first; each in a unit and frame of its own.
+        model: The largest part of the images that hold together, in a unit and frame of its own; None where there is
+            none.
+        others: Names of the images of each other part, the largest first.
         num_features: Of each image, (n,), in the order of the walks.
         matches: Images that show the same.
     """
 
-    models: Sequence[pycolmap.Reconstruction]
+    model: pycolmap.Reconstruction | None
+    others: Sequence[frozenset[str]]
     num_features: Int64[np.ndarray, " n"]
     matches: Sequence[Match]
 
@@ -78,7 +87,8 @@ def reconstruct(walks: Sequence[Walk], images: Path, work: Path, progress: Progr
     """Models of the images of walks.
 
     Features and pairs are found by all processors. Placing images is done by one: several would add numbers in another
-    order each time, and give another model.
+    order each time, and give another model. An image belongs to the model where chains of images that share enough
+    points lead to it.
 
     Args:
         walks: With at least one image.
@@ -92,33 +102,31 @@ def reconstruct(walks: Sequence[Walk], images: Path, work: Path, progress: Progr
     pycolmap = require_pycolmap()
     database = work / "database.db"
     names = [picture.name for walk in walks for picture in walk.pictures]
-    constant = _extract(pycolmap, walks, database, images, progress)
+    known = _extract(pycolmap, walks, database, images, progress)
     with pycolmap.Database.open(database) as opened:
         ids = {image.name: image.image_id for image in opened.read_all_images()}
         descriptors = [_descriptors(opened, ids.get(name)) for name in names]
     pairs = image_pairs([len(walk.pictures) for walk in walks], descriptors, np.random.default_rng(_SEED))
-    _match(pycolmap, database, work, [(names[a], names[b]) for a, b in pairs], progress)
+    edge = max(max(picture.size) for walk in walks for picture in walk.pictures)
+    _match(pycolmap, database, work, [(names[a], names[b]) for a, b in pairs], edge, progress)
     with pycolmap.Database.open(database) as opened:
         widths = [picture.size[0] for walk in walks for picture in walk.pictures]
         index = {ids[name]: i for i, name in enumerate(names) if name in ids}
         matches = list(_matches(pycolmap, opened, index, widths))
-    models = _place(pycolmap, database, images, work, constant, len(names), progress) if matches else []
-    return Reconstructed(models, np.array([len(some) for some in descriptors], np.int64), matches)
+    model, *others = _place(pycolmap, database, images, work, known, len(names), progress) if matches else [None]
+    return Reconstructed(model, others, np.array([len(some) for some in descriptors], np.int64), matches)
 
 
-def _extract(pycolmap: Any, walks: Sequence[Walk], database: Path, images: Path, progress: Progress) -> set[int]:
-    """Find the features of all images; gives the ids of the cameras whose intrinsics are known."""
+def _extract(pycolmap: Any, walks: Sequence[Walk], database: Path, images: Path, progress: Progress) -> bool:
+    """Find the features of all images; gives whether the intrinsics of all of them are known."""
     by_camera: dict[tuple[Camera | None, tuple[int, int]], list[str]] = {}
     for walk in walks:
         for picture in walk.pictures:
             by_camera.setdefault((picture.camera, picture.size), []).append(picture.name)
-    constant: set[int] = set()
     readers: list[tuple[Any, list[str]]] = []
     with pycolmap.Database.open(database) as opened:
         for (camera, size), names in by_camera.items():
             camera_id = opened.write_camera(_camera(pycolmap, camera, size))
-            if camera is not None:
-                constant.add(camera_id)
             reader = pycolmap.ImageReaderOptions()
             reader.existing_camera_id = camera_id
             readers.append((reader, names))
@@ -141,7 +149,7 @@ def _extract(pycolmap: Any, walks: Sequence[Walk], database: Path, images: Path,
             )
             done += len(some)
             progress("finding features", done, total)
-    return constant
+    return all(camera is not None for camera, _ in by_camera)
 
 
 def _camera(pycolmap: Any, camera: Camera | None, size: tuple[int, int]) -> Any:
@@ -163,10 +171,14 @@ def _descriptors(opened: Any, image_id: int | None) -> UInt8[np.ndarray, "k d"]:
     return np.asarray(opened.read_descriptors(image_id).data)
 
 
-def _match(pycolmap: Any, database: Path, work: Path, pairs: Sequence[tuple[str, str]], progress: Progress) -> None:
+def _match(
+    pycolmap: Any, database: Path, work: Path, pairs: Sequence[tuple[str, str]], edge: int, progress: Progress
+) -> None:
     matching, verification = pycolmap.FeatureMatchingOptions(), pycolmap.TwoViewGeometryOptions()
     matching.use_gpu = False
     verification.ransac.random_seed = _SEED
+    verification.ransac.max_error = float(np.clip(_AGREE * edge, *_AGREE_PX))
+    verification.min_num_inliers, verification.min_inlier_ratio = _PAIR, _PAIR_SHARE
     pairing = pycolmap.ImportedPairingOptions()
     pairing.match_list_path = work / "pairs.txt"
     done = 0
@@ -198,34 +210,67 @@ def _matches(pycolmap: Any, opened: Any, index: Mapping[int, int], widths: Seque
 
 
 def _place(
-    pycolmap: Any, database: Path, images: Path, work: Path, constant: set[int], total: int, progress: Progress
+    pycolmap: Any, database: Path, images: Path, work: Path, known: bool, total: int, progress: Progress
 ) -> list[Any]:
-    options = pycolmap.IncrementalPipelineOptions()
-    options.num_threads, options.random_seed, options.extract_colors = 1, _SEED, False
-    options.min_model_size, options.constant_cameras = LEAST, constant
-    stage, placed = "placing images", 0
-
-    def begin() -> None:
-        nonlocal placed
-        placed = 2
-        progress(stage, placed, total)
-
-    def go_on() -> None:
-        nonlocal placed
-        placed += 1
-        progress(stage, placed, total)
-
+    """The model, and the names of the images of each other part of at least `LEAST`; [None] where there is none."""
+    progress("placing images", 0, total)
+    options = pycolmap.GlobalPipelineOptions()
+    options.num_threads, options.random_seed, options.min_model_size = 1, _SEED, LEAST
+    options.mapper.global_positioning.use_gpu = False
+    adjustment = options.mapper.bundle_adjustment
+    adjustment.ceres.use_gpu = False
+    adjustment.refine_focal_length = adjustment.refine_extra_params = not known
     (work / "models").mkdir()
-    models = pycolmap.incremental_mapping(
-        database,
-        images,
-        work / "models",
-        options,
-        initial_image_pair_callback=begin,
-        next_image_callback=go_on,
-    )
-    found = [model for model in models.values() if model.num_reg_images() >= LEAST]
-    return sorted(found, key=lambda model: -model.num_reg_images())
+
+    def place() -> Any:
+        if not known:
+            pycolmap.calibrate_view_graph(database)
+        return pycolmap.global_mapping(database, images, work / "models", options)
+
+    models = _in_thread(place)
+    parts = [(model, part) for model in models.values() for part in _held_together(model) if len(part) >= LEAST]
+    if not parts:
+        return [None]
+    parts.sort(key=lambda each: -len(each[1]))
+    model, kept = parts[0]
+    others = [frozenset(model.images[image_id].name for image_id in part) for model, part in parts[1:]]
+    for image_id in {*model.reg_image_ids()} - kept:
+        model.deregister_frame(model.images[image_id].frame_id)
+    progress("placing images", len(kept), total)
+    return [model, *others]
+
+
+def _held_together(model: Any) -> list[set[int]]:
+    """The images of a model, by their ids, in parts that chains of images with enough points in common lead through."""
+    ids = sorted(model.reg_image_ids())
+    index = {image_id: number for number, image_id in enumerate(ids)}
+    shared = np.zeros((len(ids), len(ids)), np.int64)
+    for point in model.points3D.values():
+        seen = [*{index[element.image_id] for element in point.track.elements}]
+        if len(seen) > 2:  # two images agree on a point wherever they are along its rays
+            shared[np.ix_(seen, seen)] += 1
+    count, part = connected_components(shared >= _SHARED, directed=False)
+    return [{ids[i] for i in np.flatnonzero(part == number)} for number in range(count)]
+
+
+def _in_thread(work: Callable[[], Any]) -> Any:
+    """The result of work that no signal interrupts, done in a thread, so that Ctrl-C ends the wait for it."""
+    results: list[Any] = []
+    errors: list[BaseException] = []
+
+    def run() -> None:
+        try:
+            results.append(work())
+        except BaseException as error:
+            errors.append(error)
+
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
+    while thread.is_alive():
+        thread.join(_WAIT_S)
+    if errors:
+        raise errors[0]
+    return results[0]
 
 
 def _parts(things: Sequence[Any], count: int) -> Iterator[Sequence[Any]]:

@@ -99,13 +99,12 @@ def map_images(
         require_moments(walks, config)
         work.mkdir()
         found = reconstruct(walks, images, work, progress)
-        if not found.models:
+        if (model := found.model) is None:
             raise SequenceError(f"{_names(inputs)}: no image could be placed: {why_no_model(walks, found)}")
-        model = found.models[0]
         scale = _align(model, walks, config)
         (folder / "sparse" / "0").mkdir(parents=True)
         model.write_binary(folder / "sparse" / "0")
-        result = _result(walks, found, scale)
+        result = _result(walks, found, model, scale)
         _write_intrinsics(model, folder / "intrinsics.json")
         text = json.dumps(asdict(result), indent=2, ensure_ascii=False)
         (folder / "map.json").write_text(f"{text}\n", encoding="utf-8")
@@ -138,17 +137,16 @@ def _median_depth(model: pycolmap.Reconstruction, cameras: Poses) -> float:
     return float(np.median(ahead[ahead > 0.0]))
 
 
-def _result(walks: Sequence[Walk], found: Reconstructed, scale: Scale) -> MapResult:
-    model = found.models[0]
+def _result(walks: Sequence[Walk], found: Reconstructed, model: pycolmap.Reconstruction, scale: Scale) -> MapResult:
     names = [picture.name for walk in walks for picture in walk.pictures]
-    parts = [{image.name for image in each.images.values() if image.has_pose} for each in found.models]
-    placed = np.array([name in parts[0] for name in names])
+    kept = _placed(model).keys()
+    placed = np.array([name in kept for name in names])
     index = {name: i for i, name in enumerate(names)}
-    others = [[index[name] for name in part - parts[0]] for part in parts[1:]]
+    others = [[index[name] for name in part] for part in found.others]
     notices = [*what_is_missing(walks, placed, others, found.matches), *_said_of_scale(scale)]
     if (angle := _median_parallax(model)) < _LITTLE_PARALLAX_DEG:
         notices.append(f"little parallax ({angle:.1f}° at the median point): distances are uncertain, walk sideways")
-    counts = {w.name: (sum(p.name in parts[0] for p in w.pictures), len(w.pictures)) for w in walks}
+    counts = {w.name: (sum(p.name in kept for p in w.pictures), len(w.pictures)) for w in walks}
     error_px = float(model.compute_mean_reprojection_error())
     return MapResult(len(names), int(placed.sum()), counts, scale, model.num_points3D(), error_px, tuple(notices))
 

