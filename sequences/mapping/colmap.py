@@ -113,7 +113,9 @@ def reconstruct(walks: Sequence[Walk], images: Path, work: Path, progress: Progr
         widths = [picture.size[0] for walk in walks for picture in walk.pictures]
         index = {ids[name]: i for i, name in enumerate(names) if name in ids}
         matches = list(_matches(pycolmap, opened, index, widths))
-    model, *others = _place(pycolmap, database, images, work, known, len(names), progress) if matches else [None]
+    model, others = None, []
+    if matches:
+        model, others = _place(pycolmap, database, images, work, known, len(names), progress)
     return Reconstructed(model, others, np.array([len(some) for some in descriptors], np.int64), matches)
 
 
@@ -211,8 +213,8 @@ def _matches(pycolmap: Any, opened: Any, index: Mapping[int, int], widths: Seque
 
 def _place(
     pycolmap: Any, database: Path, images: Path, work: Path, known: bool, total: int, progress: Progress
-) -> list[Any]:
-    """The model, and the names of the images of each other part of at least `LEAST`; [None] where there is none."""
+) -> tuple[Any, list[frozenset[str]]]:
+    """The model, None where there is none, and the names of the images of each other part of at least `LEAST`."""
     progress("placing images", 0, total)
     options = pycolmap.GlobalPipelineOptions()
     options.num_threads, options.random_seed, options.min_model_size = 1, _SEED, LEAST
@@ -230,14 +232,14 @@ def _place(
     models = _in_thread(place)
     parts = [(model, part) for model in models.values() for part in _held_together(model) if len(part) >= LEAST]
     if not parts:
-        return [None]
+        return None, []
     parts.sort(key=lambda each: -len(each[1]))
     model, kept = parts[0]
     others = [frozenset(model.images[image_id].name for image_id in part) for model, part in parts[1:]]
     for image_id in {*model.reg_image_ids()} - kept:
         model.deregister_frame(model.images[image_id].frame_id)
     progress("placing images", len(kept), total)
-    return [model, *others]
+    return model, others
 
 
 def _held_together(model: Any) -> list[set[int]]:
