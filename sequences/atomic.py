@@ -125,7 +125,10 @@ def _put_back(work: Path) -> None:
         if not (work / NEW / marker.name).exists():
             _remove(work.parent / marker.name)
     for file in sorted((work / _REPLACED).iterdir(), reverse=True):
-        os.rename(file, work.parent / file.name.partition(".")[2])
+        place = work.parent / file.name.partition(".")[2]
+        if place.is_dir():  # the new one: a folder takes the place of no other
+            _remove(place)
+        os.rename(file, place)
 
 
 def _remove(path: Path) -> None:

@@ -76,7 +76,9 @@ def main(arguments: Sequence[str]) -> None:
             command=command,
             overwrite=o.overwrite,
             reads=chain.from_iterable(map(files_read, o.data)),
-            progress=lambda stage, done, total: shown.at(stage, done, total),
+            progress=lambda stage, done, total: shown.at(
+                stage, done, total, unit="pairs" if stage == "matching pairs" else "images"
+            ),
         )
     seconds = time.monotonic() - begin_s
     found, known = list_images(o.output), dict(zip(result.walks, _true_poses(o.data), strict=True))
