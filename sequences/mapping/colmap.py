@@ -84,11 +84,11 @@ def require_pycolmap() -> Any:
 
 
 def reconstruct(walks: Sequence[Walk], images: Path, work: Path, progress: Progress) -> Reconstructed:
-    """Models of the images of walks.
+    """The model of the images of walks.
 
-    Features and pairs are found by all processors. Placing images is done by one: several would add numbers in another
-    order each time, and give another model. An image belongs to the model where chains of images that share enough
-    points lead to it.
+    Features and matches are the same each time, and found by all processors. Images are placed by one, with all
+    generators seeded; COLMAP still takes things in another order each time, so poses differ a little. An image belongs
+    to the model where chains of images that share enough points lead to it.
 
     Args:
         walks: With at least one image.
@@ -218,8 +218,12 @@ def _place(
     progress("placing images", 0, total)
     options = pycolmap.GlobalPipelineOptions()
     options.num_threads, options.random_seed, options.min_model_size = 1, _SEED, LEAST
-    options.mapper.global_positioning.use_gpu = False
-    adjustment = options.mapper.bundle_adjustment
+    mapper, adjustment = options.mapper, options.mapper.bundle_adjustment
+    mapper.num_threads = 1
+    for part in (mapper, mapper.rotation_averaging, mapper.global_positioning, mapper.retriangulation):
+        part.random_seed = _SEED
+    mapper.global_positioning.use_gpu = False
+    adjustment.ceres.solver_options.num_threads = 1
     adjustment.ceres.use_gpu = False
     adjustment.refine_focal_length = adjustment.refine_extra_params = not known
     (work / "models").mkdir()
