@@ -89,7 +89,7 @@ def clear_leftovers(place: Path) -> None:
 
 
 def move_in(work: Path, names: Iterable[str], *, instead_of: Iterable[str]) -> None:
-    """Move files of `work / NEW` one by one into the folder that a workspace lies in.
+    """Move files and folders of `work / NEW` one by one into the folder that a workspace lies in.
 
     If that fails or is interrupted, the workspace restores the earlier files; if the process is killed, the next that
     clears leftovers does.
@@ -123,9 +123,19 @@ def _put_back(work: Path) -> None:
     """Undo `move_in` as far as it came; what it moved first goes back last."""
     for marker in (work / _ADDED).iterdir():
         if not (work / NEW / marker.name).exists():
-            (work.parent / marker.name).unlink(missing_ok=True)
+            _remove(work.parent / marker.name)
     for file in sorted((work / _REPLACED).iterdir(), reverse=True):
-        os.rename(file, work.parent / file.name.partition(".")[2])
+        place = work.parent / file.name.partition(".")[2]
+        if place.is_dir():  # the new one: a folder takes the place of no other
+            _remove(place)
+        os.rename(file, place)
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def _locked_folder(place: Path, name: str) -> tuple[Path, int]:

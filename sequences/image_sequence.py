@@ -14,7 +14,7 @@ from jaxtyping import UInt8
 
 from filtering.errors import VaporTrackError
 from sequences.datasets.layout_helpers.image_files import decoded_file, find_camera, images_in, size_of_first
-from sequences.datasets.layout_helpers.packed import VideoFile
+from sequences.datasets.layout_helpers.packed import VIDEO_SUFFIXES, VideoFile
 from sequences.errors import SequenceError
 from sequences.files import Rows
 from sequences.frame import ASSUMED_HZ, Camera, Frame
@@ -26,9 +26,6 @@ from sequences.reading.frame_pairing import RequestedSegment
 from sequences.recordings.recording_file import SUFFIXES
 from sequences.trajectories.pose_lines import stamp_ns, stamp_of
 from sequences.values import natural
-
-VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".mkv", ".avi", ".webm")
-"""Of video files."""
 
 _USED = frozenset({"undistort", "start_s", "duration_s", "allow_few_images"})  # options that apply
 _READABLE = 0.95  # of the frames that a video states: some formats state a few too many
@@ -59,6 +56,7 @@ class ImageSequence:
         notices: Sentences for users; complete after an iteration.
         camera: Intrinsics of the undistorted images; None where they are not stated.
         has_odometry: False.
+        has_stamps: Whether the time stamps of the images are stated; else their rate is assumed.
         num_images: Images in all, for progress; 0 where a video does not state it.
         image_description, odometry_description: None: no file states them.
     """
@@ -87,6 +85,7 @@ class ImageSequence:
             raise VaporTrackError(f"rate_hz is {rate_hz}, expected between {_RATES_HZ[0]:g} and {_RATES_HZ[1]:g}")
         self._files = images_in(self.path)
         self._dates = _stamps(self._files)
+        self.has_stamps = not self._files or self._dates is not None
         if self.path.is_dir():
             if not self._files:
                 raise SequenceError(f"{path}: no images, expected PNG or JPEG files in the folder")

@@ -30,26 +30,32 @@ _NAMED = 3  # files, in a message
 
 @dataclass(frozen=True)
 class Listed:
-    """A file of a manifest.
+    """A file of a manifest, or a folder with all that is in it.
 
     Attributes:
         size: In bytes.
-        sha256: Of its content, hexadecimal.
+        sha256: Of its content, hexadecimal; of a folder, of the names and checksums in it.
     """
 
     size: int
     sha256: str
 
     @classmethod
-    def of(cls, file: Path) -> Listed:
-        """Size and checksum of a file."""
-        with file.open("rb") as content:
-            return cls(file.stat().st_size, hashlib.file_digest(content, "sha256").hexdigest())
+    def of(cls, path: Path) -> Listed:
+        """Size and checksum of a file or folder."""
+        if path.is_dir():
+            within = {entry.name: cls.of(entry) for entry in sorted(path.iterdir())}
+            names = "".join(f"{listed.sha256} {name}\n" for name, listed in within.items())
+            return cls(sum(listed.size for listed in within.values()), hashlib.sha256(names.encode()).hexdigest())
+        with path.open("rb") as content:
+            return cls(path.stat().st_size, hashlib.file_digest(content, "sha256").hexdigest())
 
-    def is_of(self, file: Path) -> bool:
-        """Whether a file is as listed."""
-        found = file.lstat()
-        return stat.S_ISREG(found.st_mode) and found.st_size == self.size and Listed.of(file) == self
+    def is_of(self, path: Path) -> bool:
+        """Whether a file or folder is as listed."""
+        found = path.lstat()
+        if stat.S_ISREG(found.st_mode):
+            return found.st_size == self.size and Listed.of(path) == self
+        return stat.S_ISDIR(found.st_mode) and Listed.of(path) == self
 
 
 def verify(directory: Path, names: Iterable[str]) -> None:
@@ -240,8 +246,10 @@ def _refuse_lost(directory: Path, unexpected: Collection[str], reads: Iterable[P
         if lost:
             raise SequenceError(f"{lost[0]}: is read, and would be written to; expected another folder for the results")
     for name in names:
-        if (directory / name).is_dir():
-            raise SequenceError(f"{directory / name}: is a folder, expected none of a file's name")
+        if name in unexpected and (directory / name).is_dir():
+            raise SequenceError(
+                f"{directory / name}: is a folder, not of unchanged results; expected none of that name"
+            )
 
 
 def _replace_files(work: Path, names: Collection[str], reads: Iterable[Path]) -> None:

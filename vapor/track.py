@@ -22,6 +22,7 @@ COMMANDS = {
     "export": "write a trained model as an ONNX file, for robots without torch",
     "synthesize": "render a sequence through a synthetic scene",
     "convert": "write a data set of images with true poses as an MCAP sequence",
+    "map": "make poses for images alone, such as videos of a place, for `train`",
     "posterior": "draw the posterior of one image",
     "evaluate": "measure the trajectories of a run against true poses",
 }

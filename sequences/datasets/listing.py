@@ -11,7 +11,8 @@ from pathlib import Path
 
 from sequences.datasets import layouts
 from sequences.datasets.layout import INTRINSICS_LEVELS, Layout, PosedImages
-from sequences.datasets.layout_helpers.packed import PackedImage
+from sequences.datasets.layout_helpers.image_files import images_in
+from sequences.datasets.layout_helpers.packed import VIDEO_SUFFIXES, PackedImage
 from sequences.errors import SequenceError
 from sequences.recordings.recording_file import SUFFIXES
 
@@ -35,12 +36,21 @@ def list_images(path: Path) -> PosedImages:
         SequenceError: the layout is unknown, a file is missing or damaged, or no image has a true pose.
     """
     path = Path(path)
-    images = next((images for layout in find_layouts() if (images := layout.list_images(path)) is not None), None)
+    images = _listed(path)
     if images is None:
         raise SequenceError(f"{path}: {_what_is_there(path)}")
     if not len(images):
         raise SequenceError(f"{path}: no image with a true pose: {dict(images.skipped)}; expected at least one")
     return images
+
+
+def is_data_set(path: Path) -> bool:
+    """Whether a folder is of a known layout. Raises SequenceError where a file of it is missing or damaged."""
+    return _listed(path) is not None
+
+
+def _listed(path: Path) -> PosedImages | None:
+    return next((images for layout in find_layouts() if (images := layout.list_images(path)) is not None), None)
 
 
 def is_list(path: Path) -> bool:
@@ -66,6 +76,9 @@ def files_read(path: Path) -> Iterator[Path]:
 
 
 def _what_is_there(path: Path) -> str:
+    no_poses = f"images without true poses (`vapor-track map {path} --output place/` makes them)"
+    if _is_video(path):
+        return no_poses
     if path.is_file():
         return "is a file, expected the folder of a data set or the list of a split"
     if any(path.glob("*.mcap")):
@@ -75,7 +88,8 @@ def _what_is_there(path: Path) -> str:
     if splits := [name for name in folders_first if (path / name).exists()]:
         return f"no sequence or data set, perhaps its {' or '.join(splits)} is meant"
     looked_for = f"looked for an .mcap file, metadata.yaml, {', '.join(layout.looked_for for layout in find_layouts())}"
-    return f"{'no sequence or data set' if path.exists() else 'no such folder or file'}; {looked_for}"
+    found = "no sequence or data set" if path.exists() else "no such folder or file"
+    return f"{no_poses if images_in(path) else found}; {looked_for}"
 
 
 def is_recording(path: Path) -> bool:
@@ -84,4 +98,10 @@ def is_recording(path: Path) -> bool:
         return (path / "metadata.yaml").is_file()
     if path.suffix in SUFFIXES:  # no layout needs to be asked
         return True
+    if _is_video(path):
+        return False
     return not any(path.suffix in (*layout.list_suffixes, *layout.archive_suffixes) for layout in find_layouts())
+
+
+def _is_video(path: Path) -> bool:
+    return path.suffix.lower() in VIDEO_SUFFIXES and path.is_file()

@@ -197,15 +197,16 @@ def _only_candidate(
     could = [f"{t.name} ({t.type}: --ground-truth-topic {t.name})" for t in topics]
     could += [f"tf frame {name} (--ground-truth-frame {name})" for name in frames]
     could += [f"{t.name}, odometry as it seems ({t.type}: --ground-truth-topic {t.name})" for t in others]
+    made = f"`vapor-track map {bag.path} --output place/` makes them"
     if could:
         raise SequenceError(
             f"{bag.path}: no true poses found without a choice to make, expected one of: {'; '.join(could)}; or a file"
-            " of poses (--poses)"
+            f" of poses (--poses); {made}"
         )
     raise SequenceError(
         f"{bag.path}: no true poses: expected a topic of type {', '.join(POSE_TYPES)}, a frame of tf in which"
         f" {mount.camera!r} moves (found frames: {', '.join(tree.frames) or 'none'}), or a file of poses (--poses);"
-        f" {listing(bag.topics.values())}"
+        f" {made}; {listing(bag.topics.values())}"
     )
 
 

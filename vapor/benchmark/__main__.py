@@ -13,6 +13,7 @@ COMMANDS = {
     "faults": "localize walks in which the camera or the odometry fails: synthetic sequences, or recordings",
     "out-of-distribution": "count images of a place that are flagged as out of distribution, and others that are not",
     "real": "localize recordings made by others: images, stored posteriors, and published estimates",
+    "map": "map the images of recordings and data sets, and compare their poses with the true ones",
     "live": "measure `vapor-track live`: time from images and odometry to poses, memory, processor time",
     "live-faults": "let faults happen to a robot that `vapor-track live` follows",
     "regressors": "train every method on every scene, and measure recall, errors and densities",

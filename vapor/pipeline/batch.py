@@ -14,7 +14,7 @@ import numpy as np
 
 from filtering.errors import VaporTrackError
 from sequences.atomic import atomic_output
-from sequences.image_sequence import VIDEO_SUFFIXES
+from sequences.datasets.layout_helpers.packed import VIDEO_SUFFIXES
 from sequences.options import SequenceOptions
 from sequences.outputs import folder_to_write, refuse_other, require_replaceable
 from sequences.recordings.recording_file import SUFFIXES

@@ -18,6 +18,9 @@ from sequences.images.headers import require_pixels
 
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # read at the first video; errors are reported here
 
+VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".mkv", ".avi", ".webm")
+"""Of video files."""
+
 _MAX_MEMBER = 64 << 20  # bytes, unpacked
 _JPEG_QUALITY = 95  # of frames of a video, which were compressed more than that
 

@@ -3,8 +3,9 @@
 Where both are, the binary one is read, as by COLMAP itself. In `images.txt` two lines are an image: `IMAGE_ID QW QX QY
 QZ TX TY TZ CAMERA_ID NAME`, the pose world-to-camera, and its keypoints, which may be none. Names are relative to a
 folder of images that the model does not name: `images/` or the folder itself is tried, of the model's folder and of the
-two above it. The unit is that of the reconstruction and taken to be metres. There are no time stamps: images follow
-each other in the order of their names at the assumed rate, those of each folder as a sequence.
+two above it. The unit is that of the reconstruction and taken to be metres. Images follow each other in the order of
+their names, those of each folder as a sequence. Names that are time stamps (`1305031102.175304.png`), as `vapor-track
+map` and other recorders give them, are their times; else they are at the assumed rate.
 
 Of COLMAP's camera models those that OpenCV does not undistort are refused: FOV, fisheyes with a thin prism, division,
 EUCM, SKEWED_PINHOLE and EQUIRECTANGULAR. COLMAP has the first pixel's centre at (0.5, 0.5), here it is at (0, 0).
@@ -41,9 +42,11 @@ from sequences.errors import SequenceError
 from sequences.files import Rows, read_lines, read_rows
 from sequences.frame import Camera
 from sequences.images.undistortion import DistortionModel, Lens
+from sequences.trajectories.pose_lines import stamp_ns, stamp_of
 from sequences.values import parse_numbers, parse_whole
 
 _NAME = "COLMAP"
+_BETWEEN_NS = 1_000_000_000  # from a sequence to the next, where their stamps overlap
 _IMAGE_COLUMNS = "id qw qx qy qz tx ty tz camera name"
 _CAMERA_COLUMNS = "CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]"
 # Of each model: focal lengths among its parameters, which are followed by cx and cy; how it distorts, and the names of
@@ -82,7 +85,7 @@ def list_images(path: Path) -> PosedImages | None:
     poses, camera_ids = _read_images(found[1], cameras, rows, skipped)
     base, root = _image_folder(found[1], camera_ids)
     folders = [Path(each) for each, _, _ in os.walk(root)] if root != base else ()  # which may hold what not
-    images = list_named(_NAME, base, root, poses, folders, rows.notices)
+    images = _with_stamps(list_named(_NAME, base, root, poses, folders, rows.notices))
     ids: dict[ImageFile, str] = {root / name: camera_id for name, camera_id in camera_ids.items()}
     used = [ids[file] for file in images.files]
     by_name = {name: cameras[camera_id] for name, camera_id in camera_ids.items()}
@@ -189,6 +192,24 @@ def _text_images(file: Path) -> Iterator[tuple[int, list[str], list[str]]]:
                 " POINT3D_ID`, none or more of them"
             )
         yield number, fields, keypoints
+
+
+def _with_stamps(images: PosedImages) -> PosedImages:
+    """The images at the times that all their names state; each sequence as if after the one before it."""
+    names = [file.name for file in images.files]
+    if images.sequence is None or not names or any(stamp_of(name) is None for name in names):
+        return images
+    times_ns = np.array([stamp_ns(name, name) for name in names])
+    end_ns: int | None = None
+    for number in np.unique(images.sequence):
+        of_it = images.sequence == number
+        if (np.diff(times_ns[of_it]) <= 0).any():
+            return images
+        begin_ns = int(times_ns[of_it][0])
+        if end_ns is not None and begin_ns <= end_ns:
+            times_ns[of_it] += end_ns + _BETWEEN_NS - begin_ns
+        end_ns = int(times_ns[of_it][-1])
+    return replace(images, times_ns=times_ns, assumed_hz=None)
 
 
 def _image_folder(file: Path, names: dict[str, str]) -> tuple[Path, Path]:

@@ -64,6 +64,11 @@ WRONG = {
     "no epochs": ([*TRAIN, "--epochs", "0"], "epochs is 0"),
     "both odometries": (["convert", "d", "o.mcap", "--odometry", "a.tum", "--odometry-noise"], "exclude each other"),
     "noise of no odometry": (["convert", "d", "o.mcap", "--noise.scale", "0.1"], "expected --odometry-noise with them"),
+    "nothing to map": (["map", "--output", "o"], "expected at least one video, folder of images or recording"),
+    "a moment that is none": (
+        ["map", "a.mp4", "--output", "o", "--distance-m", "1", "--between", "0", "x"],
+        "--between",
+    ),
     "malformed frames": (["convert", "d", "o.mcap", "--frames", "1-9"], "expected START:STOP"),
     "no directory": (["evaluate"], "What `vapor-track run` wrote"),
     "no workers": ([*CEILING, "--workers", "0"], "workers is 0"),

@@ -1,0 +1,34 @@
+"""`vapor-benchmark map`."""
+
+import re
+
+import numpy as np
+import pytest
+
+from filtering.se3 import Poses
+from tests.helpers.command_line import main
+from tests.helpers.mapped_walks import straight
+from tests.helpers.room_walks import write_recording
+from tests.helpers.textured_room import walk
+from vapor.benchmark.commands.map import Errors
+
+
+def test_errors_are_those_after_the_similarity_that_fits_best():
+    true = straight(40)
+    elsewhere = Poses.exp(np.array([1.0, -2.0, 3.0, 0.5, 1.0, -0.3])) @ true
+    found = Poses(elsewhere.rotation, 4.0 * elsewhere.translation)
+    errors = Errors.of(found, true)
+    assert errors.scale == pytest.approx(0.25)
+    np.testing.assert_allclose(errors.metres, 0.0, atol=1e-9)
+    np.testing.assert_allclose(errors.degrees, 0.0, atol=1e-5)
+    moved = found.translation.copy()
+    moved[20] += 4.0
+    assert np.argmax(Errors.of(Poses(found.rotation, moved), true).metres) == 20
+
+
+def test_a_recording_is_mapped_without_its_true_poses_and_compared_with_them(tmp_path, capsys):
+    path = write_recording(tmp_path / "robot.mcap", walk(10, 1), true_poses=True)
+    assert main(["vapor-benchmark", "map", str(path), "--output", str(tmp_path / "place")]) == 0
+    out = capsys.readouterr().out
+    assert re.search(r"robot +│ 10 of 10 │ +[01]\.\d cm", out)
+    assert re.search(r"unit: recorded odometry of robot; (0\.99|1\.00)\d\d m", out)
