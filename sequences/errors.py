@@ -13,3 +13,7 @@ class NotFoundError(SequenceError):
 
 class NoOdometryError(NotFoundError):
     """A recording has no odometry at all."""
+
+
+class NoImageError(SequenceError):
+    """A recording has images, and none of them can be used."""

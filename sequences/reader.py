@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from filtering.se3 import Poses
-from sequences.errors import SequenceError
+from sequences.errors import NoImageError, SequenceError
 from sequences.frame import Camera, Frame
 from sequences.options import OdometryUse, SequenceOptions, TruePoseUse
 from sequences.reading.camera_info import ImageCamera
@@ -20,6 +20,8 @@ from sequences.reading.roles import Roles
 from sequences.reading.timeline import Key, LoggedSegment, Timeline
 from sequences.recordings.bag import METADATA_NAME, Bag
 from sequences.trajectories.interpolation import MAX_ODOMETRY_GAP_S
+
+_ONE_CLOCK_S = 2.0  # by which images of several cameras may be logged late
 
 
 class SequenceReader:
@@ -72,6 +74,8 @@ class SequenceReader:
         self._options = options or SequenceOptions()
         self._bag = Bag(self.path, stamps=self._options.stamps, tf_topic=self._options.tf_topic)
         self._roles = Roles(self._bag, self._options, odometry, true_poses, usual_cameras=usual_cameras)
+        if only_camera is not None and only_camera not in self._roles.image_topics:
+            raise SequenceError(f"{self.path}: no camera {only_camera}, found {', '.join(self._roles.image_topics)}")
         self._lenses = {
             camera.name: ImageCamera(self._bag, camera.info, camera.image, undistort=self._options.undistort)
             for camera in self._roles.cameras
@@ -152,19 +156,21 @@ class SequenceReader:
                 are required and none is of the time of an image.
         """
         roles, timeline = self._roles, self._survey()
-        images = [("", name) for name in self._lenses]
+        lenses, by_other_clocks = self._of_one_clock(timeline)
+        self.num_images = sum(self._bag.topics[name].num_messages for name in lenses)
+        images = [("", name) for name in lenses]
         pairing = FramePairing(
             roles,
-            self._lenses,
+            lenses,
             self.num_images,
             begin_ns=min((timeline.streams[key].begin_ns for key in images if key in timeline.streams), default=0),
-            lateness_ns=timeline.lateness_ns(self._lenses),
+            lateness_ns=timeline.lateness_ns(lenses),
         )
         motion, self._pairing = pairing.motion, pairing
         self.counts, self._skipped_messages = pairing.skipped.counts, pairing.skipped.messages
-        self.across_jumps, self.notices = 0, [*self._found_notices, *timeline.notices]
+        self.across_jumps, self.notices = 0, [*self._found_notices, *by_other_clocks, *timeline.notices]
         streams = MotionStreams(timeline, [name for name in self._watched if name not in self._lenses], pairing)
-        for dated in timeline.messages(self._lenses, until=lambda _: pairing.is_over):
+        for dated in timeline.messages(lenses, until=lambda _: pairing.is_over):
             pairing.take_dated(dated)
             for frame in pairing.ready_frames():
                 self.across_jumps = motion.across_jumps
@@ -189,6 +195,21 @@ class SequenceReader:
                 timeline.require_differing(key, "messages of odometry")
             self._timeline = timeline
         return self._timeline
+
+    def _of_one_clock(self, timeline: Timeline) -> tuple[dict[str, ImageCamera], list[str]]:
+        """The cameras whose stamps are of the same clock as those of the first, and sentences on the others."""
+        first, *others = self._lenses
+        lenses, said = {first: self._lenses[first]}, []
+        for name in others:
+            ahead_s = timeline.ahead_s(name) - timeline.ahead_s(first)
+            if abs(ahead_s) <= _ONE_CLOCK_S:
+                lenses[name] = self._lenses[name]
+                continue
+            said.append(
+                f"{name} is left out: by the times at which images were logged its stamps are {abs(ahead_s):.1f} s"
+                f" {'ahead of' if ahead_s > 0 else 'behind'} those of {first}, expected one clock"
+            )
+        return lenses, said
 
     @property
     def _watched(self) -> dict[str, set[Key] | None]:
@@ -217,7 +238,7 @@ class SequenceReader:
         if self.counts.used == 0:
             found = ", ".join(f"{count} × {reason}" for reason, count in self.skipped.items()) or "nothing was skipped"
             problem = next(iter(pairing.skipped.problems.values()), "")
-            raise SequenceError(
+            raise NoImageError(
                 f"{self.path}: no image left of {self.num_images} on {', '.join(self._lenses)}: {found}"
                 f"{problem}; {'; '.join([*notices, 'expected at least one that can be used'])}"
             )
@@ -231,7 +252,7 @@ class SequenceReader:
         for name, lens in self._lenses.items():
             about = f"{name}: " if len(self._lenses) > 1 else ""
             self.notices += [f"{about}{notice}" for notice in lens.notices]
-            if not pairing.used[name]:
+            if name in pairing.cameras and not pairing.used[name]:
                 self.notices.append(f"{name}: none of its images could be used, so that camera is left out")
         self.notices += motion.jumps()
 

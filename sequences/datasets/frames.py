@@ -12,7 +12,7 @@ from sequences.datasets.layout import PosedImages
 from sequences.datasets.layout_helpers.image_files import decoded_file
 from sequences.datasets.listing import is_recording, list_images
 from sequences.datasets.points import SeenPoints
-from sequences.errors import SequenceError
+from sequences.errors import NoImageError, SequenceError
 from sequences.files import Rows
 from sequences.frame import Camera, Frame
 from sequences.images.headers import why_skipped
@@ -61,8 +61,15 @@ class PosedFrames(Iterator[Frame]):
         if len(self.camera_names) == 1:
             yield from self._of_camera(reader)
             return
+        unusable: list[NoImageError] = []
         for name in self.camera_names:  # the frames of each together, as a camera of its own
-            yield from map(as_its_own, self._of_camera(self._reader(only_camera=name)))
+            try:
+                yield from map(as_its_own, self._of_camera(self._reader(only_camera=name)))
+            except NoImageError as error:
+                unusable.append(error)
+                self.notices.append(f"{name} is left out: {error}")
+        if len(unusable) == len(self.camera_names):
+            raise unusable[0]
 
     def _of_camera(self, reader: SequenceReader) -> Iterator[Frame]:
         begin, end, step = self._slice.start, self._slice.stop, self._slice.step
@@ -78,7 +85,9 @@ class PosedFrames(Iterator[Frame]):
         reader.stop()
         for _ in posed:  # none comes any more
             pass
-        self.skipped.update(reader.skipped)
+        # Messages beside the images are those of each camera.
+        first = reader.camera_names[0] == self.camera_names[0]
+        self.skipped.update(reader.skipped if first else reader.counts.skipped)
         if reader.across_jumps:
             self.skipped["true pose jumps"] += reader.across_jumps
             self.skipped["no true pose"] -= reader.across_jumps

@@ -9,6 +9,7 @@ import heapq
 from bisect import bisect_left, bisect_right
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from itertools import count
 from typing import Any, NamedTuple
 
 from filtering.motion import Odometry
@@ -114,6 +115,9 @@ class FramePairing:
         self._waiting: list[tuple[int, int, int, str, Any]] = []
         self._orders_ns: dict[str, int] = {}  # of the latest packet of each video
         self._last_ns: dict[str, int] = {}  # stamp of the latest frame of each camera
+        self._decoded: list[tuple[int, int, _Taken]] = []  # a heap, beside videos: stamp, number, picture
+        self._decoded_ns: dict[str, int] = {}  # stamp of the latest picture of each camera
+        self._numbers = count()
         self._images_ns: tuple[int, int] | None = None  # earliest and latest stamp
         self._overtaken: list[_Taken] = []  # by a newer frame, in the order of stamps
         # In order: those that a late image may follow, and the latest.
@@ -175,9 +179,23 @@ class FramePairing:
 
     def ready_frames(self, *, at_end: bool = False) -> Iterator[Frame]:
         """Frames of the images that need to wait no longer."""
-        for taken in self._ready_pictures(at_end=at_end):
+        for taken in self._in_order(at_end=at_end):
             if (frame := self._frame_asked_for(taken)) is not None:
                 yield frame
+
+    def _in_order(self, *, at_end: bool) -> Iterator[_Taken]:
+        """Pictures in the order of their stamps: decoders give those of videos later than others come."""
+        videos = [name for name, stream in self._streams.items() if stream.remembers]
+        if len(self._cameras) == 1 or not videos:
+            yield from self._ready_pictures(at_end=at_end)
+            return
+        for taken in self._ready_pictures(at_end=at_end):
+            self._decoded_ns[taken.camera] = taken.picture.time_ns
+            heapq.heappush(self._decoded, (taken.picture.time_ns, next(self._numbers), taken))
+        reached_ns = min(self._decoded_ns.get(name, -1 << 63) for name in videos)
+        most = self._most_waiting * len(self._cameras)
+        while self._decoded and (at_end or self._decoded[0][0] <= reached_ns or len(self._decoded) > most):
+            yield heapq.heappop(self._decoded)[2]
 
     def newest_frame(self) -> Frame | None:
         """The frame of the newest image that needs to wait no longer and can be used.
@@ -228,6 +246,11 @@ class FramePairing:
             yield from (_Taken(camera, picture) for picture in stream.finish())
 
     @property
+    def cameras(self) -> list[str]:
+        """Names of the cameras that are read."""
+        return [*self._cameras]
+
+    @property
     def is_over(self) -> bool:
         """Whether all images that may yet come lie behind the segment asked for."""
         return self._images_ns is not None and self.segment.ends_before(self._latest_ns - self._lateness_ns)
@@ -276,7 +299,7 @@ class FramePairing:
         except SequenceError as error:
             return self.skipped.image(why_skipped(error), taken_ns, str(error))
         # Cameras take images at the same time; every frame has a time of its own.
-        time_ns = max(taken_ns, known[-1].time_ns + 1) if known else taken_ns
+        time_ns = max([taken_ns, *(frame.time_ns + 1 for frame in self._frames[at - 1 : at])])
         odometry = self._odometry_until(taken_ns, self._frames[:at]) if covered else None
         truth = self.motion.true_pose(taken_ns)
         self._frames.insert(at, _FrameTime(time_ns, taken_ns, covered, name))

@@ -37,7 +37,8 @@ class MotionOfCamera:
         self._base_from_camera = roles.extrinsics.body_from_camera if roles.extrinsics is not None else None
         # Fixed mounts, by the topics that would show that they move.
         self.source_topics: dict[str, list[Extrinsics]] = {}
-        mounts = (roles.extrinsics, roles.truth.extrinsics if roles.truth is not None else None)
+        of_truth = roles.truth.extrinsics if roles.truth is not None else None
+        mounts = (roles.extrinsics, of_truth, *(camera.mount for camera in roles.cameras))
         for mount in (each for each in mounts if each is not None):
             for topic in mount.source_topics:
                 self.source_topics.setdefault(topic, []).append(mount)

@@ -78,7 +78,16 @@ def find_cameras(
         images = sorted(images, key=lambda topic: topic.name)
         if len(images) > 1:
             known = [image for name in usual for image in images if image.name == name]
-            images, notices = (known, []) if known else _of_one_kind(bag, images)
+            if known:
+                others = [image.name for image in images if image not in known]
+                missing = [name for name in usual if name not in bag.topics]
+                notices = [f"images of {', '.join(others)} are not used, as the model did not learn from them"] * any(
+                    others
+                )
+                notices += [f"no images of {', '.join(missing)}, which the model learned from, too"] * any(missing)
+                images = known
+            else:
+                images, notices = _of_one_kind(bag, images)
         if len(images) < 2:
             images = [_chosen(bag, images[0].name if images else None)]
     return [_with_mount(bag, options, image, images[0], others=len(images) > 1) for image in images], notices
@@ -106,15 +115,25 @@ def _of_one_kind(bag: MessageSource, images: Sequence[Topic]) -> tuple[list[Topi
     if len(kept) > 1:
         shared = [name for name, count in Counter(frames.get(each.name, "") for each in kept).items() if count > 1]
         apart = [each for each in kept[1:] if not shared and not _is_connected(bag, frames, kept[0], each)]
-        if shared or apart:
-            why = f"of one frame, {shared[0]!r}" if shared else "whose frames no transforms connect"
+        if shared:
+            of_one = ", ".join(each.name for each in kept if frames.get(each.name, "") == shared[0])
             raise SequenceError(
-                f"{bag.path}: {len(kept)} image topics {why}, expected one, or several cameras that tf connects; name"
-                f" one, or several separated by commas, by --image-topic; {listing(kept)}"
+                f"{bag.path}: {len(kept)} image topics, of which {of_one} are of one frame, {shared[0]!r}; expected one"
+                f" for each camera; name one, or several separated by commas, by --image-topic; {listing(kept)}"
             )
-    left = [each.name for each in images if each not in kept]
-    why = "grey images beside images in colour, depth, or nothing that can be read"
-    return kept, [f"images of {', '.join(left)} are not used ({why}): --image-topic names others"] if left else []
+        if apart:
+            ends = f"{frames[kept[0].name]!r} ({kept[0].name}) and {frames.get(apart[0].name, '')!r} ({apart[0].name})"
+            raise SequenceError(
+                f"{bag.path}: {len(kept)} image topics, and no transforms between {ends}; expected one camera, or"
+                f" several that tf connects; name one, or several separated by commas, by --image-topic;"
+                f" {listing(kept)}"
+            )
+    notices = []
+    for image in (each for each in images if each not in kept):
+        encoding = encodings.get(image.name)
+        why = "nothing on it can be read" if encoding is None else "depth" if encoding.startswith(_DEPTH) else "grey"
+        notices.append(f"images of {image.name} are not used ({why}): --image-topic names others")
+    return kept, notices
 
 
 def _is_connected(bag: MessageSource, frames: dict[str, str], one: Topic, other: Topic) -> bool:

@@ -246,6 +246,11 @@ class Timeline:
         stamps = stamps[np.argsort(logged, kind="stable")]
         return int((np.maximum.accumulate(stamps) - stamps).max(initial=0))
 
+    def ahead_s(self, topic: str) -> float:
+        """How far the stamps of a topic are ahead of the times at which they were logged, median; 0 without any."""
+        times = self.streams.get(("", topic))
+        return 0.0 if times is None else float(np.median(times.times_ns - self._logged["", topic])) * 1e-9
+
     def spacing_s(self, keys: Collection[Key]) -> float:
         """Median time between two messages of the sparsest of some streams; 0 where there are none."""
         times = [np.unique(self.streams[key].times_ns) for key in keys if key in self.streams]

@@ -18,6 +18,7 @@ from sequences.visual_odometry.fusion import OdometryFusion
 from sequences.visual_odometry.odometry import USUAL_DEPTH_M, VisualOdometry
 
 _TRACKED_HZ = 15.0  # features are tracked in so many images a second; more would not be more exact
+_SILENT_S = 1.0  # without an image of the camera that is localized, after which others do not wait for it
 _TOLERANCE = 0.1  # of the time between frames: stamps tremble
 
 
@@ -117,6 +118,10 @@ class VisualSequence:
                 is_due = rates.setdefault(frame.camera_name, Rate(self._most_hz)).is_due(frame.time_ns)
                 others += [frame] if is_due else []
                 self._num_between += not is_due
+                if is_due and (frame.time_ns - others[0].time_ns) * 1e-9 > _SILENT_S:  # the first camera shows nothing
+                    motion = joined([*since, joined(recorded)]) if self.beside and last_ns is not None else None
+                    yield from _along(others, motion, last_ns)
+                    recorded, since, others, last_ns, visual = [], [], [], others[-1].time_ns, None
                 continue
             if not tracked.is_due(frame.time_ns):
                 self._num_between += 1

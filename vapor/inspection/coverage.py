@@ -110,14 +110,17 @@ class Coverage:
     @property
     def by_recordings(self) -> bool:
         """Whether other recordings count, as whole ones are held out; else other passes do."""
-        return len(self.images.names) >= WHOLE_OF
+        return len(np.unique(self.images.walk)) >= WHOLE_OF
 
     @cached_property
     def others(self) -> Int64[np.ndarray, " n"]:
         """Number of other recordings that show each image; of few recordings, of those that do in another pass."""
         shown = shown_by(self.images, self.split.near_m)  # by each recording; of its own, by another pass
-        own = np.arange(len(self.images)), self.images.sequence
-        return shown.sum(axis=1) - (shown[own] if self.by_recordings else 0)
+        numbers, own = np.unique(self.images.walk, return_inverse=True)
+        if len(numbers) < shown.shape[1]:  # several cameras of a walk are one recording
+            of_walk = np.array(self.images.walks)
+            shown = np.stack([shown[:, of_walk == number].any(axis=1) for number in numbers], axis=1)
+        return shown.sum(axis=1) - (shown[np.arange(len(own)), own] if self.by_recordings else 0)
 
     @cached_property
     def places(self) -> Float64[np.ndarray, "n 3"]:
@@ -165,9 +168,20 @@ class Coverage:
                 alike = ahead @ ahead[own[self.sectors[own] == sector]].mean(axis=0)
                 looks = near & (alike >= np.cos(DIRECTION_RAD))
                 looks[own[self.sectors[own] == sector]] = True
-                looked[sector] = _visits(looks, away | (alike < 0.0), self.images.sequence)
-            found.append(Cell(storey, column, row, _visits(near, away, self.images.sequence), looked))
+                looked[sector] = self._visits(looks, away | (alike < 0.0))
+            found.append(Cell(storey, column, row, self._visits(near, away), looked))
         return found
+
+    def _visits(self, near: Bool[np.ndarray, " n"], away: Bool[np.ndarray, " n"]) -> int:
+        """Visits of all walks; of the cameras of one walk, the most of any."""
+        sequence, walks = self.images.sequence, self.images.walks
+        if len(set(walks)) == len(walks):
+            return _visits(near, away, sequence)
+        most = dict.fromkeys(walks, 0)
+        for number in np.unique(sequence[near]).tolist():
+            of_camera = _visits(near & (sequence == number), away, sequence)
+            most[walks[number]] = max(most[walks[number]], of_camera)
+        return sum(most.values())
 
     def alone(self) -> list[Segment]:
         """Segments that no other recording, or of few recordings no other pass, shows; from the longest down."""

@@ -12,7 +12,7 @@ import numpy as np
 from filtering.se3 import Poses
 from sequences.datasets.frames import as_its_own, posed_frames
 from sequences.datasets.listing import is_recording, list_images
-from sequences.errors import SequenceError
+from sequences.errors import NoImageError, SequenceError
 from sequences.frame import Frame
 from sequences.inertial.samples import read_inertial
 from sequences.inertial.sequence import InertialSequence
@@ -101,9 +101,16 @@ class Source:
         if len(reader.camera_names) == 1:
             yield from self._of_camera(reader)
             return
+        unusable: list[NoImageError] = []
         for name in reader.camera_names:
             alone = SequenceReader(self._path, self._reading, odometry="optional", only_camera=name)
-            yield from map(as_its_own, self._of_camera(alone))
+            try:
+                yield from map(as_its_own, self._of_camera(alone))
+            except NoImageError as error:
+                unusable.append(error)
+                self.notices.append(f"{name} is left out: {error}")
+        if len(unusable) == len(reader.camera_names):
+            raise unusable[0]
 
     def _of_camera(self, reader: SequenceReader) -> Iterator[Frame]:
         start, stop = self._which.start or 0, self._which.stop
@@ -126,7 +133,7 @@ class Source:
         for _ in frames:  # none comes any more
             pass
         if not taken:
-            raise SequenceError(f"{self._path}: no image in {start}:{stop}, expected at least one; it has {number + 1}")
+            raise NoImageError(f"{self._path}: no image in {start}:{stop}, expected at least one; it has {number + 1}")
         counts = reader.counts.taken(taken)
         assert self.counts is not None
         self.counts += counts

@@ -16,7 +16,7 @@ from sequences.trajectories.tum import write_tum
 from vapor.reporting.html.page import write_page
 from vapor.reporting.html.run_page import run_page
 from vapor.reporting.record import RunRecord
-from vapor.reporting.report import build_report, doubtful_notice, left_out_notices, write_report, write_status
+from vapor.reporting.report import build_report, camera_notices, doubtful_notice, write_report, write_status
 from vapor.tracking.methods import FILES
 
 _PACKAGES = ("vapor-track", "torch", "numpy", "scipy", "filterpy", "gtsam", "opencv-python-headless", "rerun-sdk")
@@ -72,7 +72,7 @@ def write_results(
         partial.write_text(json.dumps(settings, indent=2) + "\n", encoding="utf-8")
     report = build_report(record)
     write_report(directory / "report.json", report)
-    all_notices = (*notices, *left_out_notices(report), *filter(None, [doubtful_notice(record)]))
+    all_notices = (*notices, *camera_notices(report), *filter(None, [doubtful_notice(record)]))
     page = run_page(record, report, title=title, settings=settings, notices=all_notices, command=command)
     write_page(directory / "report.html", page)
     return RunResult(record, report, all_notices)

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 FITS = 0.7
-_LEFT_OUT = 0.2  # of the images of a camera, from which on a notice says so
 """Fraction of the images about a smoothed pose that must fit it, as for the filter's to be `converged`."""
+_LEFT_OUT, _UNFAMILIAR = 0.2, 0.5  # of the images of a camera, from which on a notice says so
 
 
 def build_report(record: RunRecord) -> dict[str, Any]:
@@ -66,7 +66,11 @@ def build_report(record: RunRecord) -> dict[str, Any]:
     }
     if len(names := dict.fromkeys(record.cameras)) > 1:
         report["cameras"] = {
-            name: {"images": len(own), "left_out": int(record.left_out[own].sum())}
+            name: {
+                "images": len(own),
+                "left_out": int(record.left_out[own].sum()),
+                "out_of_distribution": int((record.ood_score[own] > 1.0).sum()),
+            }
             for name in names
             for own in [np.flatnonzero([each == name for each in record.cameras])]
         }
@@ -114,12 +118,27 @@ def doubtful_notice(record: RunRecord) -> str | None:
     return f"{doubts.sum()} of {len(doubts)} smoothed poses are doubtful: images about them do not fit (status.csv)"
 
 
-def left_out_notices(report: Mapping[str, Any]) -> list[str]:
-    """A warning of each camera whose images did not count for the most part."""
+def camera_notices(report: Mapping[str, Any]) -> list[str]:
+    """A warning of each camera among several many of whose images did not count."""
+    cameras = report.get("cameras", {})
+    unfamiliar = [name for name, each in cameras.items() if each["out_of_distribution"] > _UNFAMILIAR * each["images"]]
+    if len(unfamiliar) == len(cameras):  # it is not a camera that is unlike the training
+        unfamiliar = []
+    return [
+        *(
+            f"{name}: {cameras[name]['out_of_distribution']} of its {cameras[name]['images']} images are unlike the"
+            " training images, those of other cameras are not: is its lens covered, or its camera new to the model?"
+            for name in unfamiliar
+        ),
+        *_left_out(cameras),
+    ]
+
+
+def _left_out(cameras: Mapping[str, Any]) -> list[str]:
     return [
         f"{name}: {each['left_out']} of its {each['images']} images were left out, as they fit nowhere where those of"
         " the other cameras fit: expected its mount (tf), intrinsics and clock to be right, and a clean lens"
-        for name, each in report.get("cameras", {}).items()
+        for name, each in cameras.items()
         if each["left_out"] > _LEFT_OUT * each["images"]
     ]
 

@@ -117,7 +117,8 @@ def write_snapshot(folder: Path, frame: Frame, believed: Iterable[RawMessage]) -
     messages = list(believed)
     now_ns = max((raw.log_time_ns for raw in messages), default=frame.time_ns)
     _, png = cv2.imencode(".png", cv2.cvtColor(frame.image, cv2.COLOR_RGB2BGR))
-    image = {"header": ros_header(frame.time_ns, CAMERA_FRAME), "format": "png", "data": png.tobytes()}
+    of_camera = frame.camera_name.strip("/").replace("/", "_") or CAMERA_FRAME  # its mount is not in the snapshot
+    image = {"header": ros_header(frame.time_ns, of_camera), "format": "png", "data": png.tobytes()}
     with atomic_output(path) as partial, open(partial, "wb") as file:
         writer = Writer(file)
         writer.start(profile="ros2")

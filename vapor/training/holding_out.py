@@ -103,9 +103,11 @@ def _within_one_pass(images: TrainingSet, way: Float64[np.ndarray, " n"], fracti
 
     Images between the middle of a stretch and its ends are left out: they were taken at nearly the same time.
     """
-    begins = np.flatnonzero(np.diff(images.sequence, prepend=images.sequence[0] - 1))
-    since = way - way[begins][np.searchsorted(begins, np.arange(len(way)), side="right") - 1]
-    until = since[np.append(begins[1:], len(way)) - 1][np.searchsorted(begins, np.arange(len(way)), side="right") - 1]
+    _, walk = np.unique(images.walk, return_inverse=True)
+    first, last = np.full(walk.max() + 1, np.inf), np.full(walk.max() + 1, -np.inf)
+    np.minimum.at(first, walk, way)
+    np.maximum.at(last, walk, way)
+    since, until = way - first[walk], (last - first)[walk]
     steps = np.diff(way)[np.diff(images.sequence) == 0]
     stretch = max(_STRETCH, _IN_STRETCH * float(np.median(steps)) if len(steps) else 0.0)
     left_out = held_out = np.zeros(len(images), bool)
@@ -184,8 +186,23 @@ def way_of(images: TrainingSet) -> Float64[np.ndarray, " n"]:
     for number in np.unique(walk):
         cameras = [np.flatnonzero(images.sequence == camera) for camera in np.unique(images.sequence[walk == number])]
         for own in cameras[1:]:
-            way[own] = np.interp(images.times_ns[own], images.times_ns[cameras[0]], way[cameras[0]])
+            way[own] = _along_first(images.times_ns[own], way[own], images.times_ns[cameras[0]], way[cameras[0]])
     return way
+
+
+def _along_first(
+    times_ns: Int64[np.ndarray, " k"],
+    way: Float64[np.ndarray, " k"],
+    first_ns: Int64[np.ndarray, " f"],
+    first_way: Float64[np.ndarray, " f"],
+) -> Float64[np.ndarray, " k"]:
+    """The distance of a walk's first camera at the times of another; before and after it, that of the other goes on."""
+    found = np.interp(times_ns, first_ns, first_way)
+    begin, end = np.interp(first_ns[[0, -1]], times_ns, way)
+    before, after = times_ns < first_ns[0], times_ns > first_ns[-1]
+    found[before] += way[before] - begin
+    found[after] += way[after] - end
+    return found
 
 
 def _chosen(

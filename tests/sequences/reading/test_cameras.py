@@ -1,5 +1,6 @@
 """Recordings of several cameras."""
 
+import struct
 from itertools import pairwise
 from pathlib import Path
 
@@ -10,9 +11,10 @@ from filtering.se3 import Poses
 from sequences.errors import NotFoundError, SequenceError
 from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
+from sequences.recordings.mcap_writer import ros_transform
 from sequences.recordings.message_definitions import decoder, encoder
 from tests.helpers.rigs import CAMERA_FROM_LEFT, CAMERA_FROM_RIGHT, FRONT, LEFT, NARROW, RIGHT, WIDE, Rig
-from tests.helpers.sequence_files import CAMERA, MS, Walk, close, rewrite, world_from_camera
+from tests.helpers.sequence_files import BEGIN_NS, CAMERA, MS, Walk, close, rewrite, world_from_camera
 
 TOGETHER = Rig({"left": 0, "right": 0}, {})
 APART = Rig({"left": 50 * MS, "right": 0}, {"right": 5})
@@ -87,7 +89,10 @@ def test_one_camera_of_several_is_read_alone_where_it_is_the_only_one_named(tmp_
 
 def test_the_cameras_that_a_model_knows_are_taken_where_none_is_named(tmp_path: Path) -> None:
     path = TOGETHER.write(tmp_path / "rig.mcap")
-    assert SequenceReader(path, usual_cameras=[RIGHT, "/elsewhere"]).camera_names == (RIGHT,)
+    some = SequenceReader(path, usual_cameras=[RIGHT, "/elsewhere"])
+    assert some.camera_names == (RIGHT,)
+    assert f"images of {FRONT}, {LEFT} are not used, as the model did not learn from them" in some.notices
+    assert "no images of /elsewhere, which the model learned from, too" in some.notices
     assert SequenceReader(path, usual_cameras=["/elsewhere"]).camera_names == (FRONT, LEFT, RIGHT)
     named = SequenceOptions(image_topic=FRONT)
     assert SequenceReader(path, named, usual_cameras=[RIGHT]).camera_names == (FRONT,)
@@ -131,14 +136,18 @@ def test_depth_and_grey_images_beside_images_in_colour_are_no_cameras(tmp_path: 
 
     reader = SequenceReader(rewrite(source, tmp_path / "out.mcap", data=formatted))
     assert reader.camera_names == (FRONT,)
-    (notice,) = [each for each in reader.notices if "are not used" in each]
-    assert LEFT in notice
-    assert RIGHT in notice
+    said = [each for each in reader.notices if "are not used" in each]
+    assert [each.split(": ")[0] for each in said] == [
+        f"images of {LEFT} are not used (depth)",
+        f"images of {RIGHT} are not used (grey)",
+    ]
 
 
 def test_cameras_that_no_transforms_connect_are_a_choice_to_make(tmp_path: Path) -> None:
     path = rewrite(TOGETHER.write(tmp_path / "in.mcap"), tmp_path / "out.mcap", keep=lambda t, _: t != "/tf_static")
-    with pytest.raises(SequenceError, match=r"3 image topics whose frames no transforms connect.*--image-topic"):
+    with pytest.raises(
+        SequenceError, match=r"3 image topics, and no transforms between 'camera_optical_frame' .*left.*--image-topic"
+    ):
         SequenceReader(path, odometry="unread")
     with pytest.raises(NotFoundError, match=r"no transform from 'camera_optical_frame'.*single --image-topic"):
         SequenceReader(path, SequenceOptions(image_topic=f"{FRONT},{LEFT}"), odometry="unread")
@@ -162,3 +171,60 @@ def test_a_segment_and_a_repetition_give_the_same_images_of_all_cameras(tmp_path
         assert [(f.time_ns, f.camera_name) for f in part] == [(f.time_ns, f.camera_name) for f in expected]
         for one, other in zip(part[1:], expected[1:], strict=True):
             np.testing.assert_array_equal(one.image, other.image)
+
+
+def test_a_camera_that_moves_on_the_first_is_refused(tmp_path: Path) -> None:
+    source = TOGETHER.write(tmp_path / "in.mcap")
+    number = iter(range(100))
+
+    def moved(topic: str, time_ns: int, data: bytes) -> bytes:
+        if topic != "/tf_static":
+            return data
+        message = decoder("tf2_msgs/TFMessage")(data)
+        later, transforms = next(number), []
+        for t in message.transforms:
+            is_left = t.child_frame_id.startswith("left")
+            at, turned = t.transform.translation, t.transform.rotation
+            values = [at.x + 0.5 * later * is_left, at.y, at.z, turned.x, turned.y, turned.z, turned.w]
+            transforms.append(ros_transform(time_ns, t.header.frame_id, t.child_frame_id, np.array(values)))
+        return encoder("tf2_msgs/TFMessage")({"transforms": transforms})
+
+    folder = tmp_path / "bag"
+    folder.mkdir()
+    rewrite(source, folder / "a.mcap", data=moved)
+    end = BEGIN_NS + 600 * MS
+    rewrite(source, folder / "b.mcap", keep=lambda t, _: t == "/tf_static", data=moved, log_time=lambda t, ns: end)
+    (folder / "metadata.yaml").write_text("relative_file_paths:\n- a.mcap\n- b.mcap\n")
+    with pytest.raises(SequenceError, match=r"left_optical_frame has moved by 0.5 m"):
+        list(SequenceReader(folder))
+
+
+@pytest.mark.parametrize("by_s", [14.0, -14.0])
+def test_a_camera_by_another_clock_is_left_out_and_takes_nothing_from_the_others(by_s: float, tmp_path: Path) -> None:
+    source = TOGETHER.write(tmp_path / "in.mcap")
+
+    def shifted(topic: str, time_ns: int, data: bytes) -> bytes:
+        if topic != LEFT:
+            return data
+        stamp = divmod(time_ns + round(by_s * 1e9), 10**9)
+        return data[:4] + struct.pack("<iI", *stamp) + data[12:]
+
+    reader = SequenceReader(rewrite(source, tmp_path / "out.mcap", data=shifted))
+    frames = list(reader)
+    assert {frame.camera_name for frame in frames} == {FRONT, RIGHT}
+    assert len(frames) == reader.counts.used == 24
+    assert reader.counts.are_complete
+    (notice,) = [each for each in reader.notices if each.startswith(LEFT)]
+    assert f"its stamps are 14.0 s {'ahead of' if by_s > 0 else 'behind'} those of {FRONT}" in notice
+
+
+def test_an_unknown_camera_alone_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(SequenceError, match=f"no camera /elsewhere, found {FRONT}"):
+        SequenceReader(TOGETHER.write(tmp_path / "rig.mcap"), only_camera="/elsewhere")
+
+
+def test_stamps_a_nanosecond_apart_give_frames_in_order(tmp_path: Path) -> None:
+    rig = Rig({"left": 0, "right": 1}, {})
+    frames = list(SequenceReader(rig.write(tmp_path / "rig.mcap")))
+    assert len(frames) == 35
+    assert all(one.time_ns < other.time_ns for one, other in pairwise(frames))

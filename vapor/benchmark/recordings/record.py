@@ -150,6 +150,8 @@ def _observe(
     rng = np.random.default_rng([settings.seed, settings.num_samples])
     noise = np.random.default_rng([settings.seed, settings.num_samples, 1])
     reader = SequenceReader(file, reading, true_poses="required")
+    if len(reader.camera_names) > 1:
+        reader = SequenceReader(file, reading, true_poses="required", only_camera=reader.localized_camera)
     model = VaporObservationModel(
         checkpoint,
         num_samples=settings.num_samples,
