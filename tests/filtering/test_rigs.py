@@ -243,3 +243,48 @@ def test_cameras_and_gravity_may_come_in_any_order_in_filter_and_smoothers():
         assert found.distance(poses)[0].max() < 0.25
         tilt = np.arccos(np.clip(found.rotation[60:, 2, 2], -1.0, 1.0))
         assert tilt.max() < 0.01  # without gravity 0.05
+
+
+def test_where_no_camera_sees_the_place_the_belief_is_lost():
+    localizer = new_localizer()
+    circling(localizer, RIG)
+    estimates = circling(localizer, RIG, dark=list(RIG), count=40)
+    assert estimates[-1][1].status == "lost"
+    first = next(i for i, (_, estimate) in enumerate(estimates) if estimate.status == "lost")
+    assert first < 3 * 30  # three seconds of three cameras
+
+
+@pytest.mark.parametrize("dark", [(), ("back",)])
+def test_a_camera_that_sees_nothing_any_more_does_not_decide_over_the_others(dark):
+    """One camera is misled for a while beside a dead or covered one, and recovers as if it were alone."""
+    localizer, rng, pose = new_localizer(), RNG(1), Poses.identity()
+    circling(localizer, {"front": FRONT, "back": BACK})
+    for _ in range(60):
+        elsewhere = Poses.exp(np.concatenate([rng.uniform(-60.0, 60.0, 3), rng.normal(size=3)]))
+        localizer.advance(Observation.of_posterior(seen_at(elsewhere), AHEAD, 0.1, camera="front"))
+    pose, found = Poses.exp(np.array([40.0, 0, 0, 0, 0, 0])), []
+    for _ in range(200):
+        pose = pose @ AHEAD.previous_from_current
+        seen = seen_at(pose @ FRONT @ Poses.exp(STD * rng.normal(size=6)))
+        of_front = Observation.of_posterior(seen, AHEAD, 0.1, reference_from_camera=FRONT, camera="front")
+        found.append(localizer.advance(of_front))
+        for name in dark:
+            localizer.advance(Observation.of_posterior(OUT_OF_DISTRIBUTION, Odometry.still(0.0), 0.0, camera=name))
+    assert {estimate.status for estimate in found[-50:]} == {"converged"}
+    assert found[-1].modes[0].world_from_camera.distance(pose)[0] < 0.3
+
+
+def test_a_camera_with_a_wrong_mount_is_found_while_its_views_are_hardly_new():
+    """Errors that are correlated over ten metres: a view is new once in a hundred images."""
+    noise = replace(ERRORS, length_m=10.0, length_rad=10.0)
+    localizer, rng, pose = new_localizer(), RNG(2), Poses.identity()
+    left_out = []
+    for _ in range(40):
+        pose = pose @ AHEAD.previous_from_current
+        for name, mount in RIG.items():
+            turned = mount @ Poses.exp(np.array([0, 0, 0, 0, 0, 0.7])) if name == "side" else mount
+            seen = seen_at(pose @ mount @ Poses.exp(0.1 * STD * rng.normal(size=6)), std=0.1 * STD, noise=noise)
+            odometry = AHEAD if name == "front" else Odometry.still(0.0)
+            view = Observation.of_posterior(seen, odometry, 0.1, reference_from_camera=turned, camera=name)
+            left_out.append("side" in localizer.advance(view).left_out)
+    assert sum(left_out) > 25
