@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -30,12 +30,20 @@ class PosedFrames(Iterator[Frame]):
         camera_names: Names of the cameras of a recording, once its first frame was yielded; empty of a data set.
     """
 
-    def __init__(self, path: Path, frames: slice, options: SequenceOptions | None, odometry: OdometryUse) -> None:
+    def __init__(
+        self,
+        path: Path,
+        frames: slice,
+        options: SequenceOptions | None,
+        odometry: OdometryUse,
+        usual_cameras: Sequence[str] = (),
+    ) -> None:
         self.skipped: Counter[str] = Counter()
         self.notices: list[str] = []
         self.camera_names: tuple[str, ...] = ()
         self._path, self._slice, self._options = path, frames, options
         self._odometry: OdometryUse = odometry
+        self._usual_cameras = usual_cameras
         self._source: SequenceReader | PosedImages | None = None
         self._frames = self._read()
 
@@ -126,7 +134,12 @@ class PosedFrames(Iterator[Frame]):
 
     def _reader(self, only_camera: str | None = None) -> SequenceReader:
         return SequenceReader(
-            self._path, self._options, odometry=self._odometry, true_poses="required", only_camera=only_camera
+            self._path,
+            self._options,
+            odometry=self._odometry,
+            true_poses="required",
+            usual_cameras=self._usual_cameras,
+            only_camera=only_camera,
         )
 
     def cameras(self) -> Counter[Camera]:
@@ -170,6 +183,7 @@ def posed_frames(
     frames: slice = slice(None),
     options: SequenceOptions | None = None,
     odometry: OdometryUse = "optional",
+    usual_cameras: Sequence[str] = (),
 ) -> PosedFrames:
     """Frames with true poses, in order of time; MCAP sequences with their odometry, where there is any to be found.
 
@@ -179,11 +193,12 @@ def posed_frames(
         options: What to read of an MCAP sequence, and where its true poses are; of that, folders of images heed
             `undistort` only.
         odometry: Whether that of an MCAP sequence is read; without it reading takes a quarter of the time.
+        usual_cameras: Topics of cameras of a recording that are read where there are several and none is named.
 
     Raises:
         SequenceError: the layout is unknown, a file is missing or damaged, or no frame is left; with the first frame.
     """
-    return PosedFrames(Path(path), frames, options, odometry)
+    return PosedFrames(Path(path), frames, options, odometry, usual_cameras)
 
 
 def _posed(frames: Iterable[Frame], skipped: Counter[str]) -> Iterator[Frame]:

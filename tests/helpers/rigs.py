@@ -28,9 +28,10 @@ class Rig:
     later_ns: Mapping[str, int]
     every: Mapping[str, int]
 
-    def write(self, path: Path, walk: Walk | None = None, spoilt: str = "") -> Path:
-        """Write the walk; images of a spoilt camera cannot be decoded."""
+    def write(self, path: Path, walk: Walk | None = None, spoilt: str = "", beside: Walk | None = None) -> Path:
+        """Write the walk; images of a spoilt camera cannot be decoded, and other cameras may have another walk's."""
         walk = walk or Walk()
+        stamps = [t for t, _ in (beside or walk).images]
         others = {name: MountedCamera(LENSES[name], BASE_FROM_CAMERA @ MOUNTS[name]) for name in sorted(self.later_ns)}
         with SequenceWriter(path, camera=CAMERA, base_from_camera=BASE_FROM_CAMERA, others=others) as writer:
             events = []
@@ -40,6 +41,7 @@ class Rig:
                 events.append((t, n, lambda t=t, p=pose: writer.write_true_pose(t, p)))
             for n, (t, data) in enumerate(walk.images):
                 events.append((t, n, lambda t=t, d=data: writer.write_encoded_image(t, d, "png")))
+            for n, t in enumerate(stamps):
                 for name in others:
                     if n % self.every.get(name, 1) == 0 and t + self.later_ns[name] <= walk.truth[-1][0]:
                         events.append((t + self.later_ns[name], n, self._writing(writer, t, n, name, spoilt)))

@@ -262,7 +262,7 @@ def calibrate_model(
     odometry = "unread" if ood_only else "optional"
 
     def load(entries: Sequence[Path | str]) -> TrainingSet:
-        sequences = open_sequences(entries, reading, odometry)
+        sequences = open_sequences(entries, reading, odometry, checkpoint.cameras)
         return load_training_set(sequences, config.frame_size, camera=checkpoint.camera)
 
     held_out = load(data)

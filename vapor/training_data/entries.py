@@ -20,15 +20,18 @@ from vapor.training_data.training_set import TrainingError
 
 
 def open_sequences(
-    data: Sequence[Path | str], reading: SequenceOptions | None = None, odometry: OdometryUse = "optional"
+    data: Sequence[Path | str],
+    reading: SequenceOptions | None = None,
+    odometry: OdometryUse = "optional",
+    usual_cameras: Sequence[str] = (),
 ) -> dict[str, Iterable[Frame]]:
-    """Frames of each `PATH` or `PATH@START:STOP`, by a name without its folder.
+    """Frames of each `PATH` or `PATH@START:STOP`, by a name without its folder; cameras are as in `posed_frames`.
 
     Raises:
         TrainingError: the text after the @ is not a range.
     """
     return {
-        name: posed_frames(path, frames=frames, options=reading, odometry=odometry)
+        name: posed_frames(path, frames=frames, options=reading, odometry=odometry, usual_cameras=usual_cameras)
         for name, (path, frames) in name_entries(data).items()
     }
 

@@ -121,3 +121,31 @@ def test_images_of_other_cameras_are_taken_along_the_motion_of_the_first():
     assert found[-1].odometry is None  # nothing shows the motion after the last image of the first camera
     some = list(VisualSequence(Frames(frames), CAMERA, most_hz=10.0))
     assert Counter(each.camera_name for each in some) == Counter(front=11, side=11)
+
+
+def test_other_cameras_do_not_wait_for_one_that_fell_silent():
+    mount, still = Poses.exp(np.array([0.1, 0, 0, 0, 1.5, 0])), motion(0.01, 0, 0, 0, 0, 0, duration_s=STEP_NS * 1e-9)
+    frames = [replace(frame, camera_name="front") for frame in frames_of(IMAGES[:3], odometry=still)]
+    dark = np.zeros_like(IMAGES[0])
+    for i in range(3, 200):
+        frames.append(Frame(STEP_NS * i, dark, still, None, CAMERA, camera_name="side", reference_from_camera=mount))
+    waited, most = 0, 0
+
+    class Counted(Frames):
+        def __iter__(self):
+            nonlocal waited, most
+            for frame in self.frames:
+                waited += 1
+                most = max(most, waited)
+                yield frame
+
+    for beside in (False, True):
+        waited = most = 0
+        found = []
+        for frame in VisualSequence(Counted(frames), CAMERA, beside=beside):
+            waited = 0
+            found.append(frame)
+        assert most * STEP_NS * 1e-9 < 1.2
+        assert len(found) == 200
+        known = sum(frame.odometry is not None for frame in found)
+        assert known > 150 if beside else known < 5

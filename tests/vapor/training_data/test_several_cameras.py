@@ -1,10 +1,13 @@
 """Training images of recordings by several cameras."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from tests.helpers.rigs import CAMERA_FROM_LEFT, FRONT, LEFT, RIGHT, Rig
 from tests.helpers.sequence_files import Walk, close, world_from_camera
+from vapor.inspection.reading import read_walks
 from vapor.training.holding_out import hold_out, way_of
 from vapor.training_data.entries import open_sequences
 from vapor.training_data.ground import odometry_segments
@@ -53,3 +56,26 @@ def test_all_cameras_of_a_walk_have_come_as_far_at_the_same_time(loaded: Trainin
     for walk in range(4):
         front, right = (np.flatnonzero(loaded.sequence == 3 * walk + camera) for camera in (0, 2))
         np.testing.assert_allclose(way[right], way[front][::2], atol=1e-5)
+
+
+def test_a_camera_without_any_usable_image_is_left_out_of_training_and_told(tmp_path: Path) -> None:
+    path = Rig({"left": 0, "right": 0}, {}).write(tmp_path / "walk.mcap", spoilt="left")
+    loaded = load_training_set(open_sequences([path]), (24, 16))
+    assert loaded.names == ("walk.mcap, " + FRONT, "walk.mcap, " + RIGHT)
+    assert any(notice.startswith(f"{LEFT} is left out: ") for notice in loaded.notices)
+    (walk, *_) = read_walks([path])
+    assert [each.name for each in read_walks([path])] == [*loaded.names]
+    assert any(notice.startswith(f"{LEFT} is left out: ") for notice in walk.source.notices)
+
+
+def test_the_way_of_a_camera_goes_on_after_the_first_one_has_ended(tmp_path: Path) -> None:
+    walk = Walk(60)
+    walk.images = walk.images[10:30]  # of the first camera
+    path = Rig({"left": 0}, {}).write(tmp_path / "walk.mcap", walk, beside=Walk(60))
+    loaded = load_training_set(open_sequences([path]), (24, 16))
+    way, left = way_of(loaded), np.flatnonzero(loaded.sequence == 1)
+    steps = np.diff(way[left])
+    assert len(left) == 60
+    assert (steps > 0.0).all()
+    alone = way_of(loaded.select(left))
+    np.testing.assert_allclose(steps, np.diff(alone), rtol=0.35)
