@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from filtering.agreement import disagrees, follow_agreement, following
 from filtering.association import Correlation, correct, evidence, gate
 from filtering.belief import Belief
 from filtering.births import BIRTHS
@@ -37,10 +38,6 @@ from filtering.prediction import across_gap, gap_motion, leaps, moved, unknown_v
 from filtering.prediction import predict as predict_hypotheses
 from filtering.unchecked import unchecked_replace
 from filtering.vertical import Vertical, VerticalMemory, corrected_by
-
-_USUAL_S = 10.0  # time over which the usual agreement is averaged
-_DISAGREES = 0.5  # of the agreement of the other cameras, below which a camera is left out
-_RECENT_S = 2.0  # a camera sees places at this time that saw one within so many seconds
 
 
 def step(belief: Belief, observation: Observation, config: LocalizerConfig) -> tuple[Belief, Estimate]:
@@ -71,7 +68,7 @@ def step(belief: Belief, observation: Observation, config: LocalizerConfig) -> t
     belief = measure_vertical(belief, observation.vertical)
     if informative or novelty > 0.0:
         belief = reduce(belief, config)
-    belief = follow_agreement(belief, used, views, config)
+    belief = follow_agreement(belief, [one.agreement for one in used], views, config)
     log_likelihood = sum((one.log_likelihood for one in used), 0.0)
     belief, estimate = describe(belief, views, novelty, config, log_likelihood=log_likelihood)
     if views:
@@ -230,20 +227,6 @@ def measure(belief: Belief, view: View, config: LocalizerConfig) -> tuple[Belief
     return belief, UsedView(posterior, camera, novelty, likelihood_power, float(np.log(total)), found.agreement)
 
 
-def disagrees(belief: Belief, name: str, config: LocalizerConfig) -> bool:
-    """Whether a camera's views fit hardly ever while those of the others fit, as with a wrong mount or clock."""
-    others = agreement_of_others(belief, name)
-    return others >= config.converged_agreement and belief.cameras[name].agreement < _DISAGREES * others
-
-
-def agreement_of_others(belief: Belief, name: str) -> float:
-    """The average agreement of the cameras but one that see places at this time, in [0, 1]; 0 where none does."""
-    others = [
-        camera.agreement for other, camera in belief.cameras.items() if other != name and camera.unseen_s < _RECENT_S
-    ]
-    return float(np.mean(others)) if others else 0.0
-
-
 def measure_vertical(belief: Belief, vertical: Vertical | None) -> Belief:
     """Correct every hypothesis, newborn ones included, by gravity and height."""
     if vertical is None or vertical.degrees_of_freedom == 0 or belief.hypotheses is None:
@@ -299,32 +282,6 @@ def reduce(belief: Belief, config: LocalizerConfig) -> Belief:
         rng=rng,
     )
     return unchecked_replace(belief, hypotheses=reduced, rng=rng)
-
-
-def follow_agreement(
-    belief: Belief, used: Sequence[UsedView], views: Sequence[View], config: LocalizerConfig
-) -> Belief:
-    """Average the fraction of the belief that fits the latest images.
-
-    Nothing fits an image out of distribution; it counts where those of other cameras do not fit either.
-    """
-    out_of_distribution = sum(
-        view.posterior.is_out_of_distribution and agreement_of_others(belief, view.camera) < config.lost_agreement
-        for view in views
-    )
-    if not used and not out_of_distribution:
-        return belief
-    follow = following(belief.unseen_s, config)
-    fits = sum(one.agreement for one in used) / (len(used) + out_of_distribution)
-    agreement = belief.agreement + follow * (fits - belief.agreement)
-    usual = belief.usual_agreement - np.expm1(-belief.unseen_s / _USUAL_S) * (agreement - belief.usual_agreement)
-    return unchecked_replace(belief, agreement=agreement, usual_agreement=usual, unseen_s=0.0)
-
-
-def following(unseen_s: float, config: LocalizerConfig) -> float:
-    """Fraction by which an average agreement follows an image, so many seconds after the one before."""
-    per_image = 1.0 / config.agreement_images
-    return min(-float(np.expm1(-unseen_s / config.agreement_s)), per_image) if unseen_s > 0.0 else per_image
 
 
 # --- the beginning -------------------------------------------------------------------------------------
