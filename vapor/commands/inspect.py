@@ -151,8 +151,10 @@ def _show_parts(found: Inspection) -> None:
 
 def parts(found: Inspection) -> list[Part]:
     """All findings, the verdict last."""
-    several = "s" if len(found.walks) > 1 else ""
-    shown: list[Part] = [(f"{len(found.walks)} recording{several}", [_table(found.walks), *_walk_lines(found.walks)])]
+    count = len({id(walk.source) for walk in found.walks}) if found.has_several else len(found.walks)
+    title = f"{count} recording{'s' if count > 1 else ''}"
+    title += f" by {len(found.cameras)} cameras" if found.has_several else ""
+    shown: list[Part] = [(title, [_table(found.walks), *_walk_lines(found.walks)])]
     if found.coverage is not None:
         shown.append(("Coverage", [*_coverage_lines(found.coverage), *found.notices]))
     shown.append(("Odometry", [*_odometry_lines(found), *_clock_lines(found.clocks)]))

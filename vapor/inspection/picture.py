@@ -49,7 +49,9 @@ def draw_map(path: Path, coverage: Coverage) -> Path:
             ax.set_title(f"storey {storey + 1} ({height(storeys[storey].low_m, storeys[storey].high_m)})", fontsize=9)
     _legend(figure)
     names = coverage.images.names
-    what = names[0] if len(names) == 1 else f"{len(names)} recordings"
+    count = len(np.unique(coverage.images.walk))
+    cameras = f" by {len(names) // count} cameras" if len(names) > count else ""
+    what = names[0] if len(names) == 1 else f"{count} recording{'s' if count > 1 else ''}{cameras}"
     title = f"{what}: passes near each place, and which way they looked"
     figure.suptitle(title, x=0.01, ha="left", fontsize=11, fontweight="bold")
     return save_figure(figure, path)
