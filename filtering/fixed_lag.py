@@ -75,6 +75,7 @@ class _Held:
     searched: SearchStep
     first_source: int
     vertical: Vertical | None = None
+    since_vertical: float = 1.0  # lengths since the one before
     carried_off: bool = False
 
 
@@ -124,13 +125,15 @@ class FixedLagSmoother:
         if sources is not self._sources:
             given += self._take(len(self._window))
             self._sources, self._chain = sources, None
+        memory = self._sources.vertical
         self._sources, moved, to_here, searched = self._sources.after(step, self.noise, self._config)
+        since = 1.0 if memory is None else memory.since + moved[-1]
         camera, best = self._sources.cameras[step.camera], step.modes[0]
         self._time_s += 0.0 if to_here is None else step.elapsed_s
         posterior = step.posterior.inflated(*(source.scale.factor for source in camera.sources))
         first = self._sources.first_of(step.camera)
         held = _Held(
-            self._number, self._time_s, posterior, camera.noise, moved, to_here, searched, first, step.vertical
+            self._number, self._time_s, posterior, camera.noise, moved, to_here, searched, first, step.vertical, since
         )
         self._window.append(held)
         self._number, self._weight = self._number + 1, best.weight
@@ -248,7 +251,8 @@ def _places(window: Sequence[_Held], *, only_last: bool = False) -> Places:
     posteriors = [_NOTHING if only_last and i < last else held.posterior for i, held in enumerate(window)]
     verticals = [None if only_last and i < last else held.vertical for i, held in enumerate(window)]
     moved, first = np.array([held.moved for held in window]), np.array([held.first_source for held in window])
-    return Places(posteriors, moved, [held.noise for held in window], first, verticals)
+    since = np.array([held.since_vertical for held in window])
+    return Places(posteriors, moved, [held.noise for held in window], first, verticals, since)
 
 
 def _extended(chain: Chain, to_here: Transition) -> Chain:

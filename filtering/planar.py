@@ -23,7 +23,7 @@ from filtering.vertical import HeightsAt, Vertical, vertical_errors
 _MOST_TILT_RAD = float(np.radians(1.5))  # standard deviation about each axis, of a robot
 _OFF_AXIS_RAD = float(np.radians(3.0))
 _TURNS = 25.0  # times as much as they tilt: else the axis about which poses turn is not known
-_LEAST_TILT_RAD, _LEAST_HEIGHT = 1e-4, 1e-3  # standard deviations; of the height in neighbourhoods
+_LEAST_TILT_RAD, _LEAST_HEIGHT = 3e-3, 1e-2  # standard deviations; of the height in neighbourhoods
 _FEWEST = 20  # training poses
 _NEIGHBOURS = 12
 _FREE = 0.01  # of a neighbourhood, squared: slopes within it are allowed for
@@ -31,6 +31,7 @@ _FAR = 2.0  # neighbourhoods: nothing is known of heights so far from any traini
 _STDS = 6.0  # or at another height by so many standard deviations, and a neighbourhood
 _WATCHED, _FEWEST_WATCHED = 30, 5  # images
 _DISAGREES = 3.0  # median squared distance of an image's place, per degree of freedom; 0.8 where all is as stated
+_LONG, _FEWEST_LONG, _OFF = 150, 30, 1.0  # images over which errors of one sign are watched, and standard deviations
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,12 +143,14 @@ def world_up_of(poses: Poses) -> tuple[float, float, float]:
     """Up in the world, by cameras (n,) that somebody or something carried upright.
 
     It is the axis of the world that is up in most of them; another direction where they turn about one that is further
-    than 3° from it, and turn far more than they tilt.
+    than 3° from it, and than twice their tilt's standard deviation, and turn far more than they tilt.
     """
     axis = up_axis(poses)
     found = Planar.found_in(poses)
-    if found is not None and found.turns_most and np.dot(found.vertical.world_up, axis) < np.cos(_OFF_AXIS_RAD):
-        return found.vertical.world_up
+    if found is not None and found.turns_most:
+        off_rad = np.arccos(np.clip(np.dot(found.vertical.world_up, axis), -1.0, 1.0))
+        if off_rad > max(_OFF_AXIS_RAD, 2.0 * found.tilt_std_rad):
+            return found.vertical.world_up
     x, y, z = (float(each) for each in axis)
     return x, y, z
 
@@ -208,7 +211,8 @@ class VerticalWatch:
     from the known ones, in standard deviations of both. The belief itself says nothing of it, as it was corrected.
 
     Attributes:
-        is_let_go: Whether the latest images disagree: the median of the last 30 is above √3 standard deviations.
+        is_let_go: Whether the latest images disagree: the median of the last 30 is above √3 standard deviations, or the
+            mean error of the last 150 is above one along an axis, as of a camera at another height.
         num_let_go: Number of images for which it was so.
         num_images: Number of all.
         largest_tilt_rad: The largest of the median angles by which directions were off while it was so.
@@ -218,20 +222,31 @@ class VerticalWatch:
         """Before the first image."""
         self._squared: deque[float] = deque(maxlen=_WATCHED)
         self._angles: deque[float] = deque(maxlen=_WATCHED)
+        self._signed: deque[Float64[np.ndarray, " k"]] = deque(maxlen=_LONG)
         self.is_let_go, self.num_let_go, self.num_images = False, 0, 0
         self.largest_tilt_rad = 0.0
 
     def step(self, posterior: PosePosterior, vertical: Vertical) -> Vertical | None:
-        """The vertical, if it is to be used with its image, by this one and those before; None while it is let go."""
+        """The vertical, if it is to be used with its image, by this one and those before.
+
+        None while it is let go, and before five images have spoken.
+        """
         if not posterior.is_uninformative:
             self._squared.append(self._disagreement(posterior, vertical))
-            few = len(self._squared) < _FEWEST_WATCHED
-            self.is_let_go = not few and float(np.median(self._squared)) > _DISAGREES
+            self.is_let_go = len(self._squared) >= _FEWEST_WATCHED and (
+                float(np.median(self._squared)) > _DISAGREES or self._is_off()
+            )
         self.num_images += 1
         self.num_let_go += self.is_let_go
         if self.is_let_go:
             self.largest_tilt_rad = max(self.largest_tilt_rad, float(np.median(self._angles)))
-        return None if self.is_let_go else vertical
+        return None if self.is_let_go or len(self._squared) < _FEWEST_WATCHED else vertical
+
+    def _is_off(self) -> bool:
+        """Whether the images err to one side along an axis."""
+        if len(self._signed) < _FEWEST_LONG:
+            return False
+        return bool(np.abs(np.mean(np.array(self._signed), axis=0)).max() > _OFF)
 
     def _disagreement(self, posterior: PosePosterior, vertical: Vertical) -> float:
         """Squared distance of the image's heaviest place from the vertical, per degree of freedom."""
@@ -243,6 +258,7 @@ class VerticalWatch:
         jacobian, innovation = found.of_pose[0], found.innovation[0]
         self._angles.append(float(np.linalg.norm(innovation[:2])) if vertical.up is not None else 0.0)
         covariance = jacobian @ posterior.covariances[heaviest] @ jacobian.T + np.diag(found.variance[0])
+        self._signed.append(innovation / np.sqrt(np.maximum(np.diagonal(covariance), 1e-30)))
         known = np.any(jacobian != 0.0, axis=1)
         innovation, covariance = innovation[known], covariance[np.ix_(known, known)]
         return float(innovation @ np.linalg.solve(covariance, innovation)) / max(len(innovation), 1)

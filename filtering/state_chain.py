@@ -154,6 +154,8 @@ class Places:
         noise: Of each image, n; for its constant errors.
         first_source: Number of the first source of the camera of each image, (n,).
         verticals: Of each image, n, whose lasting error is the last source; empty for none.
+        since: Lengths of that error from the vertical before to each image, (n,), where earlier ones came before these
+            images; None where the first is one of these.
     """
 
     def __init__(
@@ -163,6 +165,7 @@ class Places:
         noise: Sequence[MeasurementNoise],
         first_source: Int64[np.ndarray, " n"],
         verticals: Sequence[Vertical | None] = (),
+        since: Float64[np.ndarray, " n"] | None = None,
     ) -> None:
         self._verticals: list[tuple[int, Vertical, VerticalMemory]] = []
         memory: VerticalMemory | None = None
@@ -170,6 +173,7 @@ class Places:
             memory = None if memory is None else unchecked_replace(memory, since=memory.since + float(moved[i, -1]))
             if vertical is not None and vertical.degrees_of_freedom:
                 memory = memory or VerticalMemory(moved.shape[1] - 1, vertical.lengths)
+                memory = memory if since is None else unchecked_replace(memory, since=float(since[i]))
                 self._verticals.append((i, vertical, memory))
                 memory = memory.observe(vertical)
         images, sources, parts, constants = [], [], [], []

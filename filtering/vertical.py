@@ -66,7 +66,7 @@ class KnownHeight:
     std_m: float
 
     def __post_init__(self) -> None:
-        require_within(self, height_m=(-1e9, 1e9), std_m=(1e-9, 1e9))
+        require_within(self, height_m=(-1e9, 1e9), std_m=(1e-6, 1e9))
 
     def at(self, positions: Float64[np.ndarray, "n 3"]) -> HeightsAt:
         """See `Heights`."""
@@ -96,7 +96,7 @@ class Vertical:
     lengths: float = 1.0
 
     def __post_init__(self) -> None:
-        require_within(self, tilt_std_rad=(1e-6, 4.0))
+        require_within(self, tilt_std_rad=(1e-5, 4.0))
         if not self.lengths > 0.0:  # NaN compares as false
             raise VaporTrackError(f"lengths is {self.lengths}, expected a positive number, or infinity")
         for name in ("up", "world_up"):

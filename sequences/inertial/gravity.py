@@ -20,6 +20,7 @@ _AVERAGED_S, _UNSEEN_G = 0.2, 0.005  # of a length; its deviation at the beginni
 _OTHERWISE_G = 0.2  # samples that differ from gravity by more say nothing of it
 _DRIFT_RAD_PER_SQRT_S, _UNKNOWN_TURN = 0.002, 0.5  # of a gyroscope whose bias is known; without one
 _BIAS_RAD_PER_S, _BIAS_CHANGES = 0.02, 1e-4  # standard deviations: of the bias, of its change in a second
+_UNKNOWN_RAD = 0.5  # standard deviation from which on gravity is as good as unknown
 _MOUNT_RAD = 0.01  # standard deviation of how the unit is mounted
 
 
@@ -35,6 +36,8 @@ class GravityTrack:
         """Gravity at a time, by the latest moment within a tenth of a second before; None where it is unknown."""
         at = int(np.searchsorted(self.times_ns, time_ns, side="right")) - 1
         if at < 0 or time_ns - int(self.times_ns[at]) > _RECENT_S * 1e9 or not np.isfinite(self.std_rad[at]):
+            return None
+        if self.std_rad[at] > _UNKNOWN_RAD:
             return None
         x, y, z = (float(each) for each in self.up[at])
         return Gravity((x, y, z), float(self.std_rad[at]))

@@ -29,6 +29,7 @@ _OF_GRAVITY = (0.8, 1.2)  # median specific force in units of gravity
 _LEAST_SATURATED, _SATURATED_G = 3, 1.5  # samples in a row at the same largest value, of so much
 _UNIT = 0.05  # of a quaternion's length
 _ORIENTATION_RAD = 0.02  # standard deviation of tilt where none is stated
+_UNKNOWN_TILT = 0.1  # variance from which on an orientation is none, rad²
 _AGREE_RAD = 0.35  # median angle between orientation and specific force
 _FEWEST = 10
 
@@ -140,6 +141,8 @@ def _numbers(message: Any) -> list[float] | None:
         )
     ]
     tilt = float(message.orientation_covariance[0] + message.orientation_covariance[4]) / 2.0
+    if not np.isfinite([*numbers[6:], tilt]).all():  # drivers without one fill in NaN
+        numbers[6:], given[2], tilt = [0.0] * 4, 0.0, 0.0
     numbers = [*numbers, *given, tilt]
     return numbers if np.isfinite(numbers).all() else None
 
@@ -207,7 +210,7 @@ def _orientation_up(table: Float64[np.ndarray, "n 14"]) -> tuple[Float64[np.ndar
     quat, given = table[:, 6:10], table[:, 12] == 1.0
     unit = np.abs(np.linalg.norm(quat, axis=1) - 1.0) < _UNIT
     filled_in = np.ptp(quat, axis=0).max() == 0.0 and abs(quat[0, 3]) == 1.0
-    if not (given & unit).all() or filled_in:
+    if not (given & unit).all() or filled_in or np.median(table[:, 13]) > _UNKNOWN_TILT:
         return None, _ORIENTATION_RAD
     rotations = rotation_from_quat_xyzw(quat / np.linalg.norm(quat, axis=1, keepdims=True))
     variance = float(np.median(table[:, 13]))

@@ -20,6 +20,7 @@ from sequences.inertial.gyroscope import GyroscopeFusion
 from sequences.inertial.samples import InertialSamples
 from sequences.reading.counts import ImageCounts
 
+_LEAST_S = 0.01  # a motion of less time says nothing of how a gyroscope turns
 _FEWEST, _VARIES_DEG = 10, 10.0  # frames with gravity and a true pose; median angle
 
 
@@ -112,7 +113,7 @@ class InertialSequence:
         odometry = frame.odometry
         if odometry is None or before_ns is None or not self.corrects_odometry:
             return odometry
-        if odometry.duration_s == 0.0:  # of the images of several cameras at one time
+        if odometry.duration_s < _LEAST_S:  # of the images of several cameras at nearly one time
             return odometry
         if self._restated is not None:
             odometry = self._restated(odometry)

@@ -360,3 +360,20 @@ def test_the_smoother_is_closer_to_the_true_tilt_and_height_with_them():
         error = best.poses.between(path.truth).log()
         errors[known] = np.sqrt(np.mean(np.square(error), axis=0))
     assert (errors[True][[3, 4, 2]] < 0.5 * errors[False][[3, 4, 2]]).all()
+
+
+def test_with_a_lag_a_standing_camera_gains_nothing_by_gravity_said_again_and_again():
+    """Gravity is off by six standard deviations: the filter, and every smoother, takes it once."""
+    std = np.array([0.1, 0.1, 0.1, 0.01, 0.01, 0.01])
+    off = np.array([np.sin(0.06), 0.0, np.cos(0.06)])
+    vertical, localizer, steps = Vertical(tuple(off.tolist()), 0.01), new_localizer(), []
+    for i in range(60):
+        observation = Observation.of_posterior(seen_at(Poses.identity(), std=std), Odometry.still(0.1) if i else None)
+        observation = replace(observation, vertical=vertical)
+        steps.append(FilterStep.of(observation, localizer.advance(observation)))
+    smoothed = smooth(steps, ERRORS, SmoothingConfig.of_filter(LocalizerConfig())).best.poses
+    for lag_s in (1.0, 20.0):
+        lag = FixedLagSmoother(lag_s, ERRORS)
+        lagged = [pose for step in steps for pose in lag.update(step)] + lag.finish()
+        tilt = np.arccos(np.clip(lagged[-1].world_from_camera.rotation[2, 2], -1.0, 1.0))
+        assert tilt < 2.0 * np.arccos(np.clip(smoothed[-1].rotation[2, 2], -1.0, 1.0)) + 0.005

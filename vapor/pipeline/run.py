@@ -136,7 +136,9 @@ def run_into(
             calibration.errors,
             odometry_fit=fit,
             storeys=observation.storeys,
-            vertical=lambda frame, posterior: verticals.step(posterior, frame.gravity),
+            vertical=lambda frame, posterior: verticals.step(
+                posterior, frame.gravity, is_localized=frame.reference_from_camera is None
+            ),
             place=Place.of_model(observation.description),
             allow_few_images=reading.allow_few_images,
             progress=progress,
@@ -229,7 +231,8 @@ def _with_inertial(
         return frames
     localized = replace(reading, image_topic=frames.resolved["image_topic"].split(",")[0])
     samples, notices = read_inertial(frames.path, localized)
-    rides, of_pressure = read_rides(frames.path, reading)
+    in_metres = not isinstance(frames, VisualSequence) or frames.beside
+    rides, of_pressure = read_rides(frames.path, reading) if in_metres else ([], [])
     restated = None if fit is None else fit.restated
     notices = [*notices, *of_pressure]
     return InertialSequence(frames, samples, notices, restated, rides=rides, usual_up=verticals.usual_up)

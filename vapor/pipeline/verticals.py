@@ -14,6 +14,9 @@ from sequences.frame import Gravity
 from vapor.checkpoints.checkpoint import ModelDescription
 from vapor.pipeline.config import PlanarUse
 
+_UP_RAD = 0.017  # standard deviation of up in the map
+_APART = 3.0  # standard deviations of both, from which on two directions are not one
+_SOME = 0.03  # of the images, for which it is worth a notice that a robot's tilt was not used
 _LENGTHS = 10.0  # over which errors of gravity last: how a unit is mounted, for ever; accelerations, for less
 
 
@@ -59,17 +62,27 @@ class Verticals:
         self._poses, self._gravity_watch = model.memory_poses or model.prior_poses, VerticalWatch()
         self._world_up = self._planar.vertical.world_up if self._planar is not None else None
 
-    def step(self, posterior: PosePosterior, gravity: Gravity | None = None) -> Vertical | None:
-        """The vertical of the next image; None where nothing is known."""
+    def step(
+        self, posterior: PosePosterior, gravity: Gravity | None = None, *, is_localized: bool = True
+    ) -> Vertical | None:
+        """The vertical of the next image; None where nothing is known.
+
+        Args:
+            posterior: Of the frame that is localized, by the image.
+            gravity: About its axes.
+            is_localized: Whether the camera that is localized took the image: others may be mounted otherwise than
+                stated, so they do not say whether the vertical fits.
+        """
+        if not is_localized:
+            posterior = posterior.without_places()
         vertical = None if self._planar is None else self._planar.vertical
         if vertical is not None and self._watch is not None:
             vertical = self._watch.step(posterior, vertical)
         if gravity is None:
             return vertical
         self._world_up = self._world_up or world_up_of(self._poses)
-        measured = self._gravity_watch.step(
-            posterior, Vertical(gravity.up, gravity.std_rad, None, self._world_up, _LENGTHS)
-        )
+        std_rad = float(np.hypot(gravity.std_rad, _UP_RAD))
+        measured = self._gravity_watch.step(posterior, Vertical(gravity.up, std_rad, None, self._world_up, _LENGTHS))
         return _together(vertical, measured) if vertical is not None and measured is not None else vertical or measured
 
     @property
@@ -84,7 +97,7 @@ class Verticals:
         if self._planar is not None:
             spread = f"within {np.degrees(self._planar.tilt_std_rad):.1f}°"
             notices.append(f"planar robot: tilt ({spread}) and height of the camera are those of the training poses")
-            if watch is not None and watch.num_let_go:
+            if watch is not None and watch.num_let_go > _SOME * watch.num_images:
                 notices[-1] = (
                     f"not a planar robot in {watch.num_let_go} of {watch.num_images} images: their tilt or height is"
                     f" not that of the training poses ({spread}), which were not used there"
@@ -102,6 +115,8 @@ class Verticals:
 def _together(robot: Vertical, gravity: Vertical) -> Vertical:
     """The tilt of a robot and gravity as one direction, weighted by their variances, with the robot's height."""
     if robot.up is None or gravity.up is None:
+        return robot
+    if np.dot(robot.up, gravity.up) < np.cos(_APART * float(np.hypot(robot.tilt_std_rad, gravity.tilt_std_rad))):
         return robot
     weights = np.array([robot.tilt_std_rad, gravity.tilt_std_rad]) ** -2.0
     up = weights @ np.array([robot.up, gravity.up])

@@ -8,8 +8,8 @@ import pytest
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.frame import Gravity
-from sequences.inertial.gravity import gravity_along
-from sequences.inertial.samples import InertialSamples, prepared, read_inertial
+from sequences.inertial.gravity import GravityTrack, gravity_along
+from sequences.inertial.samples import STANDARD_GRAVITY, InertialSamples, prepared, read_inertial
 from sequences.inertial.sequence import InertialSequence, beside_true_poses
 from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
@@ -222,3 +222,16 @@ def test_a_unit_with_other_axes_than_tf_states_is_said():
     right = [(pose, Gravity((z, x, y), 0.02)) for pose, (x, y, z) in found]
     assert "the unit's mount in tf" in beside_true_poses(wrong)[0]
     assert not beside_true_poses(right)
+
+
+def test_an_orientation_of_a_huge_variance_is_none_and_gravity_of_no_use_is_unknown():
+    samples = InertialSamples(np.arange(3) * 10**7, np.full((3, 3), np.nan), np.full((3, 3), np.nan))
+    table = np.zeros((20, 14))
+    table[:, 2], table[:, 6:10] = STANDARD_GRAVITY, [0.1, 0.0, 0.0, np.sqrt(0.99)]
+    table[:, 10:13], table[:, 13] = 1.0, 1e6
+    found = prepared("/imu", np.arange(20) * 10**7, table, np.eye(3))
+    assert found.up is None
+    table[:, 13] = 1e-4
+    assert prepared("/imu", np.arange(20) * 10**7, table, np.eye(3)).up is not None
+    track = GravityTrack(samples.times_ns, np.tile([0.0, 0.0, 1.0], (3, 1)), np.array([0.01, 0.6, 1000.0]))
+    assert [track.at(time_ns) is None for time_ns in samples.times_ns.tolist()] == [False, True, True]

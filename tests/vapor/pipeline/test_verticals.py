@@ -37,6 +37,11 @@ def test_remembered_training_poses_count_as_they_are_and_samples_of_a_network_wi
     assert sampled.tilt_std_rad == pytest.approx(np.hypot(true.tilt_std_rad, error), rel=0.02)
 
 
+def spoken(verticals, poses):
+    """The vertical once five images have spoken."""
+    return [verticals.step(seen_at(pose)) for pose in poses[:5]][-1]
+
+
 def load_error(model):
     """The network's error of the tilt: that of rotation, about axes across up."""
     return float(np.mean(model.calibration.errors.typical_std[3:]))
@@ -45,7 +50,7 @@ def load_error(model):
 def test_a_robots_model_gives_each_image_tilt_and_height_and_says_so(of_poses):
     poses = driven(300, rng=RNG(0))
     verticals = Verticals(of_poses(poses, poses), "auto")
-    assert verticals.step(seen_at(poses[0])) is not None
+    assert spoken(verticals, poses) is not None
     assert "planar robot" in verticals.notices[0]
     assert Verticals(of_poses(poses, poses), "no").step(seen_at(poses[0])) is None
 
@@ -76,9 +81,12 @@ def upright(poses, *, flipped=1.0):
 def test_gravity_of_a_camera_in_a_hand_is_used_with_the_models_up(of_poses):
     poses = driven(100, rng=RNG(0), tilt_std=0.2)
     verticals = Verticals(of_poses(poses, poses), "auto")
-    for pose, gravity in zip(poses, upright(poses), strict=True):
+    for number, (pose, gravity) in enumerate(zip(poses, upright(poses), strict=True)):
         vertical = verticals.step(seen_at(pose), gravity)
-        assert vertical.up == gravity.up
+        if number < 4:
+            assert vertical is None
+        else:
+            assert vertical.up == gravity.up
     np.testing.assert_allclose(vertical.world_up, [0, 0, 1], atol=1e-9)
     assert vertical.heights is None
     assert not verticals.notices
@@ -101,13 +109,36 @@ def test_gravity_that_is_not_that_of_the_images_is_not_used_and_said(of_poses, f
 def test_gravity_and_a_robots_tilt_count_by_their_variances_and_the_height_is_the_robots(of_poses):
     poses = driven(300, rng=RNG(0), tilt_std=0.02)
     verticals = Verticals(of_poses(poses, poses), "auto")
-    robot = verticals.step(seen_at(poses[0]))
+    robot = spoken(verticals, poses)
     gravity = upright(poses[:1])[0]
-    both = verticals.step(seen_at(poses[0]), gravity)
-    assert both.tilt_std_rad == pytest.approx((robot.tilt_std_rad**-2 + gravity.std_rad**-2) ** -0.5)
+    for _ in range(5):
+        both = verticals.step(seen_at(poses[0]), gravity)
+    std_rad = float(np.hypot(gravity.std_rad, 0.017))  # and of up in the map
+    assert both.tilt_std_rad == pytest.approx((robot.tilt_std_rad**-2 + std_rad**-2) ** -0.5)
     assert both.heights is robot.heights
     angles = [np.arccos(np.dot(both.up, each)) for each in (robot.up, gravity.up)]
-    assert angles[0] / angles[1] == pytest.approx((robot.tilt_std_rad / gravity.std_rad) ** 2, rel=0.05)
+    assert angles[0] / angles[1] == pytest.approx((robot.tilt_std_rad / std_rad) ** 2, rel=0.05)
+
+
+def test_of_several_cameras_the_one_that_is_localized_says_whether_it_fits(of_poses):
+    poses = driven(100, rng=RNG(0))
+    verticals = Verticals(of_poses(poses, poses), "auto")
+    wrong = Poses.exp(np.array([0, 0, 0, 1.0, 0, 0]))
+    for pose in poses:
+        used = verticals.step(seen_at(pose))
+        also = verticals.step(seen_at(pose @ wrong), is_localized=False)
+    assert used is not None
+    assert also is not None
+    assert "planar robot" in verticals.notices[0]
+    assert not verticals.notices[0].startswith("not")
+
+
+def test_gravity_that_contradicts_a_robots_tilt_is_not_averaged_with_it(of_poses):
+    poses = driven(100, rng=RNG(0))
+    verticals = Verticals(of_poses(poses, poses), "yes")
+    robot = verticals.step(seen_at(poses[0]))
+    for pose, gravity in zip(poses[:20], upright(poses[:20], flipped=-1.0), strict=True):
+        assert verticals.step(seen_at(pose), gravity).up == robot.up
 
 
 def test_planar_yes_needs_training_poses(of_poses):
