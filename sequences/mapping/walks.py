@@ -132,7 +132,10 @@ def _opened(path: Path, reading: SequenceOptions | None) -> tuple[ImageSequence 
         return images, images.has_stamps
     if path.is_dir() and not is_recording(path):
         raise SequenceError(f"{path}: no images in it, {_EXPECTED}")
-    return SequenceReader(path, reading, odometry="optional"), True
+    reader = SequenceReader(path, reading, odometry="optional")
+    if len(reader.camera_names) > 1:  # one of several is enough, and its motion is that of the odometry
+        reader = SequenceReader(path, reading, odometry="optional", only_camera=reader.localized_camera)
+    return reader, True
 
 
 def _free_name(path: Path, number: int, taken: set[str]) -> str:
