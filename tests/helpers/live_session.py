@@ -40,7 +40,9 @@ class KnowingModel(VaporObservationModel):
     def __init__(self, places: int = 1, seconds: float = 0.0, spread_m: float = 0.005) -> None:
         self.places, self.seconds, self.spread_m = places, seconds, spread_m
         calibration = SimpleNamespace(errors=MeasurementNoise(), odometry=None)
-        self.description: Any = SimpleNamespace(calibration=calibration, prior_poses=Poses.identity(3), cameras=())
+        self.description: Any = SimpleNamespace(
+            calibration=calibration, prior_poses=Poses.identity(3), memory_poses=None, cameras=()
+        )
         self.verifier = None
 
     @property

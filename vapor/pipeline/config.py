@@ -43,7 +43,7 @@ class FilteringConfig(FilterConfig):
 
 @dataclass(frozen=True)
 class ModelConfig(EngineConfig):
-    """How a regressor observes."""
+    """How a model observes, and what its training poses say of the camera."""
 
     num_samples: int = 1000
     """Posterior samples per image."""
@@ -54,11 +54,17 @@ class ModelConfig(EngineConfig):
     fitted_odometry: bool = True
     """Take the noise of the odometry from the model's calibration, where that was fitted from odometry; otherwise as
     the sequence states it."""
+    planar: PlanarUse = "auto"
+    """Whether the camera is on a robot that keeps it at one tilt and height above the floor: these are then known by
+    the training poses. auto: where these show it, while images agree. yes: with their spread, whatever it is."""
 
     def __post_init__(self) -> None:
         for name in ("num_samples", "threads"):
             if getattr(self, name) < 1:
                 raise VaporTrackError(f"{name} is {getattr(self, name)}, expected at least 1")
+        if self.planar not in get_args(PlanarUse):
+            known = ", ".join(get_args(PlanarUse))
+            raise VaporTrackError(f"planar is {quoted(self.planar)}, expected one of {known}")
 
 
 @dataclass(frozen=True)
@@ -68,9 +74,6 @@ class RunConfig(ModelConfig, FilteringConfig):
     odometry: OdometrySource = "auto"
     """auto: use odometry where it is recorded, and elsewhere make it from the images. recorded: require it. visual:
     make it from the images. both: these correct each other. none: each hypothesis moves with an unknown velocity."""
-    planar: PlanarUse = "auto"
-    """Whether the camera is on a robot that keeps it at one tilt and height above the floor: these are then known by
-    the training poses. auto: where these show it, while images agree. yes: with their spread, whatever it is."""
     localize_hz: float = 10.0
     """With visual odometry, localize so many images a second on average; those between them show the motion."""
     rate_hz: float = float(ASSUMED_HZ)
@@ -79,7 +82,7 @@ class RunConfig(ModelConfig, FilteringConfig):
     def __post_init__(self) -> None:
         ModelConfig.__post_init__(self)
         require_within(self, localize_hz=(1e-3, 1e6), rate_hz=(1e-3, 1e6))
-        for name, known in (("odometry", get_args(OdometrySource)), ("planar", get_args(PlanarUse))):
-            if (value := getattr(self, name)) not in known:
-                raise VaporTrackError(f"{name} is {quoted(value)}, expected one of {', '.join(known)}")
+        if self.odometry not in get_args(OdometrySource):
+            known = ", ".join(get_args(OdometrySource))
+            raise VaporTrackError(f"odometry is {quoted(self.odometry)}, expected one of {known}")
         FilteringConfig.__post_init__(self)

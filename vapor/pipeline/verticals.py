@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
 from filtering.errors import VaporTrackError
 from filtering.planar import Planar, VerticalWatch, world_up_of
 from filtering.posterior import PosePosterior
+from filtering.se3 import Poses
 from filtering.vertical import Vertical
 from sequences.frame import Gravity
-from vapor.checkpoints.checkpoint import ModelDescription
+from vapor.checkpoints.calibration import Calibration
 from vapor.pipeline.config import PlanarUse
 
 _UP_RAD = 0.017  # standard deviation of up in the map
@@ -20,7 +22,27 @@ _SOME = 0.03  # of the images, for which it is worth a notice that a robot's til
 _LENGTHS = 10.0  # over which errors of gravity last: how a unit is mounted, for ever; accelerations, for less
 
 
-def planar_of(model: ModelDescription) -> Planar | None:
+@runtime_checkable
+class Trained(Protocol):
+    """What is asked of a model: see `vapor.checkpoints.checkpoint.ModelDescription`."""
+
+    @property
+    def prior_poses(self) -> Poses:
+        """Samples of its network."""
+        ...
+
+    @property
+    def memory_poses(self) -> Poses | None:
+        """True poses of training images that it remembers."""
+        ...
+
+    @property
+    def calibration(self) -> Calibration:
+        """Its errors."""
+        ...
+
+
+def planar_of(model: Trained) -> Planar | None:
     """The tilt and height of the camera by a model's training poses; None where it has few.
 
     Where the model has samples of its network in place of true poses, the network's errors are part of the spread.
@@ -50,7 +72,7 @@ class Verticals:
         VaporTrackError: it is said to be planar, and the model has too few training poses to know the tilt.
     """
 
-    def __init__(self, model: ModelDescription, use: PlanarUse) -> None:
+    def __init__(self, model: Trained, use: PlanarUse) -> None:
         found = None if use == "no" else planar_of(model)
         if use == "yes" and found is None:
             raise VaporTrackError(

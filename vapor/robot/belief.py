@@ -24,6 +24,7 @@ from sequences.frame import Frame
 from sequences.live.reader import LiveReader
 from sequences.odometry_fit.result import OdometryFit
 from vapor.observation import VaporObservationModel
+from vapor.pipeline.verticals import Verticals
 from vapor.robot.network import Job
 from vapor.tracking.hindsight import fixed_lag_smoother
 
@@ -87,7 +88,7 @@ class LiveBelief:
 
     `anchor` is None before the first image. `now` is the latest published belief, later than the anchor if images are
     missing. Without a `fit` of the model's calibration, odometry errs as it states. With a `lag_s` above 0 it also has
-    the pose of each image by the images until so many seconds later.
+    the pose of each image by the images until so many seconds later. `verticals` know a planar robot's tilt and height.
     """
 
     def __init__(
@@ -97,8 +98,10 @@ class LiveBelief:
         reader: LiveReader,
         fit: OdometryFit | None,
         lag_s: float = 0.0,
+        verticals: Verticals | None = None,
     ) -> None:
         self.localizer, self.reader, self._model, self._fit = localizer, reader, model, fit
+        self._verticals = verticals
         self.anchor: Anchor | None = None
         self.now: Estimate | None = None
         noise = model.description.calibration.errors.finest
@@ -154,6 +157,10 @@ class LiveBelief:
             reference_from_camera=frame.reference_from_camera,
             camera=frame.camera_name or ONLY_CAMERA,
         )
+        if self._verticals is not None:
+            is_localized = frame.reference_from_camera is None
+            vertical = self._verticals.step(observation.posterior, frame.gravity, is_localized=is_localized)
+            observation = replace(observation, vertical=vertical)
         estimate = self.localizer.advance(observation)
         self._ahead_ns = ahead_ns
         if anchor is not None and anchor.reading == job.reading and frame.time_ns < anchor.time_ns:  # it was late

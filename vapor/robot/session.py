@@ -30,6 +30,7 @@ from sequences.recordings.message_definitions import decoder
 from sequences.recordings.messages import frame_name, stamp_ns
 from sequences.recordings.source import RawMessage
 from vapor.pipeline.model import LoadedModel
+from vapor.pipeline.verticals import Verticals
 from vapor.reporting.rerun_place import Place
 from vapor.reporting.rerun_viewer import RerunViewer
 from vapor.robot.belief import LiveBelief, LiveEstimate
@@ -203,7 +204,8 @@ class LiveSession:
         observation = self._model.observation.seen_by(reader.camera)
         localizer = ParticleLocalizer(observation, settings, rng=np.random.default_rng(self._config.seed))
         self._health.reader = reader
-        self._belief = LiveBelief(localizer, observation, reader, fit, self._config.lag)
+        verticals = Verticals(observation.description, self._config.planar)
+        self._belief = LiveBelief(localizer, observation, reader, fit, self._config.lag, verticals)
         roles = reader.roles
         odometry = roles.odometry.name if roles.odometry is not None else f"tf from {roles.odometry_frame}"
         infos = [camera.info.name for camera in roles.cameras if camera.info is not None]
@@ -211,7 +213,7 @@ class LiveSession:
         missing = [name for name in observation.description.cameras if name not in reader.lenses]
         if missing and len(observation.description.cameras) > 1 and not self._reading.image_topics:
             self._notify(f"without {', '.join(missing)}, which the model learned from, too: not there at the start")
-        for notice in [*self._model.observation.notices, *self._health.notices()]:
+        for notice in [*self._model.observation.notices, *verticals.notices, *self._health.notices()]:
             self._notify(notice)
         return self._belief
 

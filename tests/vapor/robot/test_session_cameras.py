@@ -10,12 +10,14 @@ import pytest
 from filtering.measurement_noise import MeasurementNoise
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
+from filtering.vertical import KnownHeight, Vertical
 from sequences.recordings.source import RawMessage
 from tests.helpers.fake_transport import messages_of
 from tests.helpers.live_session import KnowingModel, Running, hurry, running
 from tests.helpers.rigs import CAMERA_FROM_LEFT, FRONT, LEFT, RIGHT, WIDE, Rig
 from tests.helpers.sequence_files import BEGIN_NS, Walk, picture, world_from_camera
-from vapor.robot import health
+from vapor.pipeline.verticals import Verticals
+from vapor.robot import health, session
 
 NOISE = MeasurementNoise(length_m=0.03, length_rad=0.03)
 
@@ -106,3 +108,23 @@ def test_a_camera_of_the_model_that_is_not_there_is_told(rig: Path) -> None:
     with running(rig, model=Knowing((FRONT, LEFT, "/rear/image"))) as run:
         opened(run, raws)
         run.wait_told("without /rear/image, which the model learned from, too: not there at the start")
+
+
+def test_a_robots_tilt_is_known_of_the_camera_that_is_localized(rig: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[bool, float]] = []
+
+    class Robot(Verticals):
+        def step(self, posterior: PosePosterior, gravity: Any = None, *, is_localized: bool = True) -> Vertical | None:
+            off_m = posterior.means[0].distance(world_from_camera(BEGIN_NS))[0]
+            asked.append((is_localized, float(off_m)))
+            return Vertical(heights=KnownHeight(1.0, 100.0))
+
+    monkeypatch.setattr(session, "Verticals", Robot)
+    raws = messages_of(rig)
+    with running(rig, model=Knowing((FRONT, LEFT))) as run:
+        opened(run, raws)
+        say(run, raws)
+        run.wait(lambda: len(run.estimates) > 6)
+    assert {is_localized for is_localized, _ in asked} == {True, False}
+    assert max(off_m for _, off_m in asked) < 1.0  # of the camera that is localized, whichever took the image
+    assert run.estimates[-1].estimate.status == "converged"
