@@ -6,6 +6,7 @@ by as much as a metre. So only rides count: a change by a storey, steadily, with
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -27,6 +28,7 @@ _LEAST_M_PER_S, _PAUSE_STEPS = 0.2, 10  # of a lift that moves; and for so long 
 _LEAST_M, _LEAST_S = 1.8, 2.0  # of a ride: a storey, and longer than a door takes to open
 _STD_M, _RELATIVE = 0.3, 0.05  # standard deviation of a ride's height: of the air, and of its temperature
 _STILL_M_PER_S = 0.1  # odometry below this does not show the motion
+_MOMENT_S = 0.3  # over which it is judged
 _FEWEST = 10
 _TYPE = "sensor_msgs/FluidPressure"
 
@@ -99,6 +101,7 @@ class LiftRides:
 
     def __init__(self, rides: list[Ride]) -> None:
         self.rides, self.num_motions = rides, 0
+        self._recent: deque[tuple[float, Float64[np.ndarray, "3"]]] = deque()  # seconds and translation of motions
 
     def step(
         self, begin_ns: int, end_ns: int, odometry: Odometry | None, up: tuple[float, float, float] | None
@@ -112,8 +115,7 @@ class LiftRides:
         """
         if odometry is None or up is None or end_ns <= begin_ns:
             return odometry
-        duration_s = (end_ns - begin_ns) * 1e-9
-        if np.linalg.norm(odometry.previous_from_current.translation) > _STILL_M_PER_S * duration_s:
+        if not self._stands((end_ns - begin_ns) * 1e-9, odometry.previous_from_current.translation):
             return odometry
         for ride in self.rides:
             first, last = max(begin_ns, int(ride.times_ns[0])), min(end_ns, int(ride.times_ns[-1]))
@@ -128,6 +130,15 @@ class LiftRides:
                     covariance=odometry.covariance + variance * np.outer(along, along),
                 )
         return odometry
+
+    def _stands(self, duration_s: float, moved_m: Float64[np.ndarray, "3"]) -> bool:
+        """Whether odometry stands still over the last moments, however many motions these are: odometry trembles."""
+        self._recent.append((duration_s, moved_m))
+        lasted_s = sum(each for each, _ in self._recent)
+        while len(self._recent) > 1 and lasted_s - self._recent[0][0] >= _MOMENT_S:
+            lasted_s -= self._recent.popleft()[0]
+        whole_m = np.sum([each for _, each in self._recent], axis=0)
+        return bool(np.linalg.norm(whole_m) <= _STILL_M_PER_S * lasted_s)
 
     @property
     def notices(self) -> list[str]:

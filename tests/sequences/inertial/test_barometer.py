@@ -105,10 +105,23 @@ def test_odometry_that_moves_or_is_unknown_and_a_camera_of_unknown_tilt_stay():
     walks = Odometry(Poses.exp(np.array([0, 0, 0.05, 0, 0, 0])), 1e-6 * np.eye(6), 0.1)
     assert added(lifts, 21.0, 21.1, walks) is walks
     assert added(lifts, 21.0, 21.1, None) is None
-    one = still()
-    assert added(lifts, 21.0, 21.1, one, None) is one
-    assert added(lifts, 10.0, 10.1, one) is one
+    one, again = still(), LiftRides(lifts.rides)
+    assert added(again, 21.0, 21.1, one, None) is one
+    assert added(again, 10.0, 10.1, one) is one
     assert not lifts.notices
+    assert not again.notices
+
+
+@pytest.mark.parametrize("hz", [3.0, 10.0, 30.0])
+def test_odometry_that_trembles_stands_at_any_rate(hz):
+    lifts, rng = LiftRides(rides_in(*heights(ride))), RNG(0)
+    risen_m, number = 0.0, round(60 * hz)
+    for i in range(number):
+        trembles = Odometry(Poses.exp(np.append(0.003 * rng.standard_normal(3), np.zeros(3))), 1e-4 * np.eye(6), 1 / hz)
+        motion = added(lifts, i / hz, (i + 1) / hz, trembles)
+        moved = motion.previous_from_current.translation - trembles.previous_from_current.translation
+        risen_m -= moved[1]
+    assert risen_m == pytest.approx(lifts.rides[0].heights_m[-1], rel=0.05)
 
 
 # --- the storey afterwards ------------------------------------------------------------------------------
