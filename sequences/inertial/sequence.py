@@ -113,13 +113,11 @@ class InertialSequence:
         odometry = frame.odometry
         if odometry is None or before_ns is None or not self.corrects_odometry:
             return odometry
-        if odometry.duration_s < _LEAST_S:  # of the images of several cameras at nearly one time
-            return odometry
         if self._restated is not None:
             odometry = self._restated(odometry)
         odometry = self._lifts.step(before_ns, frame.time_ns, odometry, up)
-        if self._gyroscope is None:
-            return odometry
+        if self._gyroscope is None or odometry is None or odometry.duration_s < _LEAST_S:
+            return odometry  # such a short one is between images of several cameras
         return self._gyroscope.step(before_ns, frame.time_ns, odometry)
 
 

@@ -185,8 +185,8 @@ class FramePairing:
 
     def _in_order(self, *, at_end: bool) -> Iterator[_Taken]:
         """Pictures in the order of their stamps: decoders give those of videos later than others come."""
-        videos = [name for name, stream in self._streams.items() if stream.remembers]
-        if len(self._cameras) == 1 or not videos:
+        videos = [name for name, stream in self._streams.items() if stream.remembers and len(self._cameras) > 1]
+        if not videos:
             yield from self._ready_pictures(at_end=at_end)
             return
         for taken in self._ready_pictures(at_end=at_end):

@@ -106,9 +106,9 @@ def test_a_rig_begins_at_its_first_view_that_has_places():
     np.testing.assert_allclose(estimate.modes[0].world_from_camera.translation, 0.0, atol=1e-9)
 
 
-def circling(localizer, mounts, *, count=60, wrong=None, rng=None, dark=(), std=STD):
+def circling(localizer, mounts, *, count=60, wrong=None, rng=None, dark=(), std=STD, start=None):
     """A walk with a camera at each mount, image by image; the stated mount of one is `wrong`."""
-    rng, pose, estimates = rng or RNG(0), Poses.identity(), []
+    rng, pose, estimates = rng or RNG(0), Poses.identity() if start is None else start, []
     for _ in range(count):
         pose = pose @ AHEAD.previous_from_current
         for name, mount in mounts.items():
@@ -144,14 +144,9 @@ def test_a_covered_camera_does_not_keep_the_others_from_being_sure():
 def test_a_camera_counts_again_once_its_views_fit():
     localizer = new_localizer()
     circling(localizer, RIG, wrong={"side": Poses.exp(np.array([0, 0, 0, 0, 0, 2.0]))}, count=40)
-    pose, rng, left_out = localizer.predict(STAY).modes[0].world_from_camera, RNG(3), []
-    for _ in range(60):
-        pose = pose @ AHEAD.previous_from_current
-        for name, mount in RIG.items():
-            seen = seen_at(pose @ mount @ Poses.exp(STD * rng.normal(size=6)))
-            odometry = AHEAD if name == "front" else Odometry.still(0.0)
-            view = Observation.of_posterior(seen, odometry, 0.1, reference_from_camera=mount, camera=name)
-            left_out.append("side" in localizer.advance(view).left_out)
+    here = localizer.predict(STAY).modes[0].world_from_camera
+    estimates = circling(localizer, RIG, rng=RNG(3), start=here)
+    left_out = ["side" in estimate.left_out for _, estimate in estimates]
     assert any(left_out[:6])
     assert not any(left_out[-90:])
 
@@ -159,14 +154,8 @@ def test_a_camera_counts_again_once_its_views_fit():
 def test_cameras_that_all_see_another_place_are_believed():
     localizer = new_localizer()
     circling(localizer, RIG)
-    elsewhere, rng = Poses.exp(np.array([40.0, 0, 0, 0, 0, 0])), RNG(5)
-    for _ in range(120):
-        elsewhere = elsewhere @ AHEAD.previous_from_current
-        for name, mount in RIG.items():
-            seen = seen_at(elsewhere @ mount @ Poses.exp(STD * rng.normal(size=6)))
-            odometry = AHEAD if name == "front" else Odometry.still(0.0)
-            view = Observation.of_posterior(seen, odometry, 0.1, reference_from_camera=mount, camera=name)
-            estimate = localizer.advance(view)
+    start = Poses.exp(np.array([40.0, 0, 0, 0, 0, 0]))
+    elsewhere, estimate = circling(localizer, RIG, rng=RNG(5), count=120, start=start)[-1]
     assert estimate.modes[0].world_from_camera.distance(elsewhere)[0] < 0.3
     assert estimate.status == "converged"
 

@@ -10,7 +10,7 @@ import numpy as np
 from filtering.se3 import Poses
 from sequences.frame import Camera
 from sequences.writer import MountedCamera, SequenceWriter
-from tests.helpers.sequence_files import BASE_FROM_CAMERA, CAMERA, Walk, picture
+from tests.helpers.sequence_files import BASE_FROM_CAMERA, BEGIN_NS, CAMERA, Walk, picture, world_from_camera
 
 FRONT, LEFT, RIGHT = (f"/{name}/image/compressed" for name in ("camera", "left", "right"))
 WIDE = Camera(64, 32, 30.0, 31.0, 31.5, 15.5)
@@ -19,6 +19,14 @@ CAMERA_FROM_RIGHT = Poses.exp(np.array([0.2, 0.05, -0.1, 0.1, 1.3, 0.1]))
 MOUNTS = {"left": CAMERA_FROM_LEFT, "right": CAMERA_FROM_RIGHT}
 NARROW = Camera(40, 32, 40.0, 41.0, 19.5, 15.5)
 LENSES = {"left": WIDE, "right": NARROW}
+
+
+def pose_shown(image: np.ndarray, left_turned: Poses) -> Poses:
+    """world_from_camera by the colour of an image and its width, one pose; that of the left camera is turned."""
+    index = int(np.argmin([np.abs(picture(i)[0, 0].astype(int) - image[5, 5]).sum() for i in range(12)]))
+    mounts = {WIDE.width: CAMERA_FROM_LEFT @ left_turned, NARROW.width: CAMERA_FROM_RIGHT}
+    truth = world_from_camera(BEGIN_NS + 100_000_000 * index)
+    return truth @ mounts[image.shape[1]] if image.shape[1] in mounts else truth
 
 
 @dataclass

@@ -235,6 +235,8 @@ def _with_inertial(
     rides, of_pressure = read_rides(frames.path, reading) if in_metres else ([], [])
     restated = None if fit is None else fit.restated
     notices = [*notices, *of_pressure]
+    if samples is None and not rides and not notices:
+        return frames
     return InertialSequence(frames, samples, notices, restated, rides=rides, usual_up=verticals.usual_up)
 
 

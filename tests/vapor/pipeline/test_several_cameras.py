@@ -13,8 +13,8 @@ from filtering.se3 import Poses
 from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
 from sequences.trajectories.tum import read_tum
-from tests.helpers.rigs import CAMERA_FROM_LEFT, CAMERA_FROM_RIGHT, FRONT, LEFT, NARROW, RIGHT, WIDE, Rig
-from tests.helpers.sequence_files import BEGIN_NS, Walk, picture, world_from_camera
+from tests.helpers.rigs import FRONT, LEFT, RIGHT, Rig, pose_shown
+from tests.helpers.sequence_files import Walk
 from vapor.pipeline.config import FilteringConfig, RunConfig
 from vapor.pipeline.localize import localize
 from vapor.pipeline.results import write_results
@@ -30,12 +30,7 @@ class Seeing:
         self.turned = Poses.exp(np.array([0.0, 0.0, 0.0, 0.0, turned_rad, 0.0]))
 
     def observe(self, image: np.ndarray, *, rng: np.random.Generator) -> PosePosterior:
-        index = int(np.argmin([np.abs(picture(i)[0, 0].astype(int) - image[5, 5]).sum() for i in range(12)]))
-        truth = world_from_camera(BEGIN_NS + 100_000_000 * index)
-        if image.shape[1] == WIDE.width:
-            truth = truth @ CAMERA_FROM_LEFT @ self.turned
-        if image.shape[1] == NARROW.width:
-            truth = truth @ CAMERA_FROM_RIGHT
+        truth = pose_shown(image, self.turned)
         samples = Poses.stack([truth] * 100) @ Poses.exp(rng.normal(0.0, 0.005, (100, 6)))
         return PosePosterior.from_samples(samples, NOISE)
 

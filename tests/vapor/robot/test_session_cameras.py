@@ -14,8 +14,8 @@ from filtering.vertical import KnownHeight, Vertical
 from sequences.recordings.source import RawMessage
 from tests.helpers.fake_transport import messages_of
 from tests.helpers.live_session import KnowingModel, Running, hurry, running
-from tests.helpers.rigs import CAMERA_FROM_LEFT, FRONT, LEFT, RIGHT, WIDE, Rig
-from tests.helpers.sequence_files import BEGIN_NS, Walk, picture, world_from_camera
+from tests.helpers.rigs import FRONT, LEFT, RIGHT, Rig, pose_shown
+from tests.helpers.sequence_files import BEGIN_NS, Walk, world_from_camera
 from vapor.pipeline.verticals import Verticals
 from vapor.robot import health, session
 
@@ -31,10 +31,7 @@ class Knowing(KnowingModel):
         self.turned = Poses.exp(np.array([0.0, 0.0, 0.0, 0.0, turned_rad, 0.0]))
 
     def observe(self, image: np.ndarray, *, rng: np.random.Generator) -> PosePosterior:
-        index = int(np.argmin([np.abs(picture(i)[0, 0].astype(int) - image[5, 5]).sum() for i in range(12)]))
-        truth = world_from_camera(BEGIN_NS + 100_000_000 * index)
-        if image.shape[1] == WIDE.width:
-            truth = truth @ CAMERA_FROM_LEFT @ self.turned
+        truth = pose_shown(image, self.turned)
         samples = Poses.stack([truth] * 100) @ Poses.exp(rng.normal(0.0, 0.005, (100, 6)))
         return PosePosterior.from_samples(samples, NOISE)
 
