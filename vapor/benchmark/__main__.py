@@ -9,6 +9,7 @@ from vapor.track import run_program
 
 COMMANDS = {
     "step": "time the parts of a step: decoding, network, landmarks, filter",
+    "gpu": "measure a GPU in a few minutes: the same results as on the processor, and times",
     "localization": "localize many synthetic sequences, and count successes",
     "faults": "localize walks in which the camera or the odometry fails: synthetic sequences, or recordings",
     "out-of-distribution": "count images of a place that are flagged as out of distribution, and others that are not",

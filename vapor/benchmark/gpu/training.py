@@ -1,0 +1,170 @@
+"""Training of the paper's network on a device: images a second, and the time until it recalls as many poses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from time import perf_counter
+from typing import Literal
+
+import numpy as np
+
+from sequences.synthesize import synthesize
+from vapor.benchmark.gpu.setting import Setting
+from vapor.benchmark.gpu.stages import Deadline, Finding, OutOfTime
+from vapor.checkpoints.calibration import Calibration
+from vapor.engines.engine import Device
+from vapor.evaluation.validation import validate
+from vapor.images import centre_crop, scale_to_cover
+from vapor.regressors.scene_box import SceneBox
+from vapor.training.config import TrainConfig
+from vapor.training.epoch import train_epoch
+from vapor.training.presets import PRESETS
+from vapor.training.state import TrainingState, start
+from vapor.training_data.training_set import TrainingSet
+
+SCENE = "round-table"
+_PAPER, _FAST = PRESETS["paper-synthetic"], PRESETS["resnet18"]
+_WARM_UP, _TIMED, _FEWEST = 3, 20, 3  # steps
+_SHARE_OF_CPU, _SHARE_OF_RATE = 0.12, 0.08  # of the time that is left
+_EVALUATED_SAMPLES = 200
+_Arithmetic = Literal["float32", "bfloat16"]
+
+
+def time_training(setting: Setting, deadline: Deadline) -> Iterator[Finding]:
+    """Images a second of the paper's training, and how long two precisions take to the same recall."""
+    begin = perf_counter()
+    training, held_out = _images(setting, deadline)
+    count = len(training) + len(held_out)
+    yield Finding(f"{SCENE}: images rendered", count / (perf_counter() - begin), "images/s", note=f"{count} images")
+    rates: dict[tuple[str, _Arithmetic], float] = {}
+    for batch in setting.sizes.training_batches:
+        for device, precision in _ways(setting):
+            what = f"paper's schedule, {batch} a batch, {precision} on {device}"
+            found = _rate(what, _config(_PAPER, setting, batch, precision, device), training, deadline)
+            rates[device, precision] = found.value
+            yield found
+    yield from _time_to_recall(setting, training, held_out, rates, deadline)
+
+
+def _ways(setting: Setting) -> list[tuple[Device, _Arithmetic]]:
+    on_device: list[tuple[Device, _Arithmetic]] = [(setting.device, "float32"), (setting.device, "bfloat16")]
+    return [*on_device, ("cpu", "float32")] if setting.device == "cuda" else on_device
+
+
+def _config(
+    preset: TrainConfig, setting: Setting, batch: int, precision: _Arithmetic, device: Device, epochs: int = 1
+) -> TrainConfig:
+    """A preset with the network that is measured, its own shortcut apart."""
+    network = replace(setting.sizes.paper, shortcut=preset.network.shortcut)
+    return replace(preset, network=network, batch_size=batch, precision=precision, device=device, epochs=epochs)
+
+
+def _images(setting: Setting, deadline: Deadline) -> tuple[TrainingSet, TrainingSet]:
+    """Images of a walk to train on, and of another one to test on; both rendered."""
+    s = setting.sizes
+    return _rendered(setting, "train", s.training, deadline), _rendered(setting, "test", s.held_out, deadline)
+
+
+def _rendered(setting: Setting, split: Literal["train", "test"], count: int, deadline: Deadline) -> TrainingSet:
+    s, size = setting.sizes, setting.sizes.paper.frame_size
+    walk = synthesize(SCENE, seed=0, num_frames=count, split=split, width=s.width, height=s.height)
+    images = np.empty((count, size[1], size[0], 3), np.uint8)
+    for number, image in enumerate(walk.images()):
+        deadline.check()
+        images[number] = centre_crop(scale_to_cover(image, *size), *size)
+    return TrainingSet(
+        images,
+        np.arange(count),
+        walk.world_from_camera,
+        np.zeros(count, np.int64),
+        (SCENE,),
+        (s.width, s.height),
+        walk.image_times_ns,
+        (None,) * count,
+    )
+
+
+def _started(config: TrainConfig, training: TrainingSet) -> TrainingState:
+    return start(config, SceneBox.around(training.poses), training.poses, None)
+
+
+def _rate(what: str, config: TrainConfig, training: TrainingSet, deadline: Deadline) -> Finding:
+    """Images a second, by the median of steps that end when their loss is known; a part of the time that is left.
+
+    Raises:
+        OutOfTime: hardly any step was made.
+    """
+    share = _SHARE_OF_CPU if config.device == "cpu" else _SHARE_OF_RATE
+    own = deadline.before((1.0 - share) * max(deadline.left_s, 0.0))
+    stamps: list[float] = []
+
+    def report(step: int, loss: float) -> None:
+        stamps.append(perf_counter())
+        if len(stamps) > _WARM_UP + _FEWEST:
+            own.check()
+        deadline.check()
+
+    batch = min(config.batch_size, len(training))
+    rows = np.sort(np.resize(np.arange(len(training)), (_WARM_UP + _TIMED) * batch))
+    try:
+        train_epoch(_started(config, training), training.select(rows), config, report)
+    except OutOfTime:
+        deadline.check()
+    steps_s = np.diff(stamps)[_WARM_UP - 1 :]
+    note = f"{len(steps_s)} steps of {1e3 * np.median(steps_s):.1f} ms, 95 % {1e3 * np.percentile(steps_s, 95):.1f} ms"
+    return Finding(what, float(batch / np.median(steps_s)), "images/s", note=note)
+
+
+def _time_to_recall(
+    setting: Setting,
+    training: TrainingSet,
+    held_out: TrainingSet,
+    rates: dict[tuple[str, _Arithmetic], float],
+    deadline: Deadline,
+) -> Iterator[Finding]:
+    """Time of training, without evaluation, until the fast schedule recalls as much in float32 as in bfloat16."""
+    precisions: tuple[_Arithmetic, ...] = ("float32", "bfloat16")
+    each_s = 0.4 * max(deadline.left_s, 0.0)  # of two; a fifth is for evaluation
+    possible = int(each_s * rates[setting.device, "float32"] / len(training))
+    epochs = min(setting.sizes.epochs, possible)
+    if epochs < 2:
+        raise OutOfTime
+    courses: dict[_Arithmetic, list[tuple[float, float]]] = {}
+    for precision in precisions:
+        batch = min(_FAST.batch_size, len(training))
+        config = _config(_FAST, setting, batch, precision, setting.device, epochs)
+        courses[precision] = _course(config, training, held_out, deadline)
+        seconds, recall = max(courses[precision], key=lambda each: each[1])
+        of_best = f"of {epochs} epochs of {len(training)} images, best after {seconds:.1f} s"
+        yield Finding(f"fast schedule, {precision}: sample recall", 100.0 * recall, "%", note=of_best)
+    recall = min(max(recall for _, recall in course) for course in courses.values())
+    for precision, course in courses.items():
+        seconds, images = next(
+            (seconds, (epoch + 1) * len(training))
+            for epoch, (seconds, reached) in enumerate(course)
+            if reached >= recall
+        )
+        note = f"{images} images; evaluation apart"
+        if (on_cpu := rates.get(("cpu", "float32"))) is not None and setting.device != "cpu":
+            note += f"; on the processor, by its images a second, {images / on_cpu:.0f} s"
+        yield Finding(f"fast schedule, {precision}: time to {100.0 * recall:.1f} % recall", seconds, "s", note=note)
+
+
+def _course(
+    config: TrainConfig, training: TrainingSet, held_out: TrainingSet, deadline: Deadline
+) -> list[tuple[float, float]]:
+    """Seconds of training and sample recall on held-out images, after every epoch."""
+    state, course, seconds = _started(config, training), [], 0.0
+    widths = Calibration(config.bandwidth_translation_m, config.bandwidth_rotation_rad)
+    while state.epoch < config.known_epochs:
+        begin = perf_counter()
+        loss = train_epoch(state, training, config, deadline.check)
+        seconds += perf_counter() - begin
+        state.epoch += 1
+        kept = state.average if config.ema_decay else state.network
+        figures = validate(
+            kept, held_out, widths, num_samples=_EVALUATED_SAMPLES, seed=0, epoch=state.epoch, train_loss=loss
+        )
+        course.append((seconds, figures.sample_recall))
+    return course
