@@ -86,6 +86,7 @@ class Recorded:
             self._outputs = network(*inputs)
 
     def __call__(self, image: Tensor, noise: Tensor) -> tuple[Tensor, ...]:
+        """The network's outputs for other inputs, from this device or another."""
         for own, given in zip(self._inputs, (image, noise), strict=True):
             own.copy_(given)
         self._graph.replay()

@@ -102,14 +102,18 @@ def _measure(o: Options, whole: Deadline, folder: Path) -> tuple[dict[str, Any],
         if results[-1].outcome != "under way":
             show(_line(results[-1]))
 
-    stages = [
-        Stage(name, share, partial(_work, module, function, setting))
-        for name, (module, function, share) in _STAGES.items()
-        if name in o.stages
-    ]
+    stages = _stages(setting, o.stages)
     show(f"{machine['device']}, torch {machine['torch']}: {len(stages)} stages in {o.seconds:.0f} s at most")
     with limited_threads(setting.threads):
         return machine, carry_out(stages, whole, report)
+
+
+def _stages(setting: Any, names: Sequence[str]) -> list[Stage]:
+    return [
+        Stage(name, share, partial(_work, module, function, setting))
+        for name, (module, function, share) in _STAGES.items()
+        if name in names
+    ]
 
 
 def _work(module: str, function: str, setting: Any, deadline: Deadline) -> Iterator[Finding]:

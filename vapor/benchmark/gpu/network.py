@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import replace
 
@@ -17,6 +17,8 @@ from vapor.benchmark.gpu.stages import Deadline, Finding
 from vapor.benchmark.gpu.timing import timed
 from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.engines.torch_engine import Recorded
+
+_Samples = Callable[[Tensor, Tensor], tuple[Tensor, ...]]
 
 
 def time_networks(setting: Setting, deadline: Deadline) -> Iterator[Finding]:
@@ -41,8 +43,7 @@ def _time_batch(
     def samples(images: Tensor, noise: Tensor) -> tuple[Tensor, ...]:
         return network(network.normalise(images), noise)
 
-    def time(call: str, run: object) -> Finding:
-        assert callable(run)
+    def time(call: str, run: _Samples) -> Finding:
         found = timed(call, lambda: run(images, noise), device, deadline, repetitions=setting.sizes.repetitions)
         return replace(found, note=f"{1e3 * batch / found.value:.0f} images/s, {found.note}")
 
@@ -53,7 +54,9 @@ def _time_batch(
         def autocast(enabled: bool = bfloat16) -> AbstractContextManager[object]:
             return torch.autocast(device.type, torch.bfloat16, enabled=enabled)
 
-        def eager(images: Tensor, noise: Tensor, autocast=autocast) -> tuple[Tensor, ...]:
+        def eager(
+            images: Tensor, noise: Tensor, autocast: Callable[[], AbstractContextManager[object]] = autocast
+        ) -> tuple[Tensor, ...]:
             with autocast():
                 return samples(images, noise)
 
@@ -63,7 +66,7 @@ def _time_batch(
         else:
             yield from sample_deviation(f"{what}, {precision} from float32", found, exact)
         yield time(f"{what}, {precision}, eager", eager)
-        if device.type == "cuda":
+        if setting.device == "cuda":
             # Recorded for other images, so that a replay that ignored the given ones would be noticed.
             recorded = Recorded(samples, (torch.zeros_like(images), torch.zeros_like(noise)), autocast)
             replayed = _on_cpu(recorded(images, noise))

@@ -22,7 +22,7 @@ from vapor.training.presets import PRESETS
 
 MODEL = "staircase"
 """The model that ships, and the scene of its walk."""
-_SEED = 4000  # of a walk that the model has not seen
+_SEED = 2  # of a walk that is ambiguous for long, and becomes converged twice
 
 
 @dataclass(frozen=True)

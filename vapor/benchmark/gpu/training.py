@@ -139,6 +139,8 @@ def _time_to_recall(
         of_best = f"of {epochs} epochs of {len(training)} images, best after {seconds:.1f} s"
         yield Finding(f"fast schedule, {precision}: sample recall", 100.0 * recall, "%", note=of_best)
     recall = min(max(recall for _, recall in course) for course in courses.values())
+    if recall == 0.0:  # there was too little time for any pose to be recalled: there is no time to state
+        return
     for precision, course in courses.items():
         seconds, images = next(
             (seconds, (epoch + 1) * len(training))
