@@ -21,6 +21,7 @@ from vapor.benchmark.gpu.matching import matched
 from vapor.benchmark.gpu.setting import TINY, Setting
 from vapor.benchmark.gpu.stages import Deadline, Finding, OutOfTime, Stage, carry_out
 from vapor.benchmark.gpu.timing import timed
+from vapor.benchmark.gpu.training import Reached
 from vapor.engines import torch_engine
 from vapor.landmarks.features import mutual_matches, restored, stored, unit_vectors
 
@@ -246,14 +247,19 @@ def _recalls(monkeypatch, tmp_path, **courses):
 
 
 def test_the_time_to_equal_recall_is_when_each_reaches_what_both_reach(monkeypatch, tmp_path, unchecked):
-    found = _recalls(monkeypatch, tmp_path, float32=[(1.0, 0.1), (2.0, 0.3)], bfloat16=[(0.5, 0.35), (1.0, 0.2)])
+    found = _recalls(
+        monkeypatch,
+        tmp_path,
+        float32=[Reached(1.0, 10, 0.1), Reached(2.0, 20, 0.3)],
+        bfloat16=[Reached(0.5, 10, 0.35), Reached(1.0, 20, 0.2)],
+    )
     assert [f.value for f in found] == [30.0, 35.0, 2.0, 0.5]
     assert "20 images" in found[2].note
     assert "on the processor, by its images a second, 4 s" in found[2].note
 
 
 def test_where_nothing_is_recalled_no_time_is_stated(monkeypatch, tmp_path, unchecked):
-    found = _recalls(monkeypatch, tmp_path, float32=[(1.0, 0.0), (2.0, 0.0)], bfloat16=[(0.5, 0.35)])
+    found = _recalls(monkeypatch, tmp_path, float32=[Reached(2.0, 20, 0.0)], bfloat16=[Reached(0.5, 10, 0.35)])
     assert [f.unit for f in found] == ["%", "%"]
 
 

@@ -103,7 +103,7 @@ def _measure(o: Options, whole: Deadline, folder: Path) -> tuple[dict[str, Any],
             show(_line(results[-1]))
 
     stages = _stages(setting, o.stages)
-    show(f"{machine['device']}, torch {machine['torch']}: {len(stages)} stages in {o.seconds:.0f} s at most")
+    show(f"{machine['device']}, torch {machine['torch']}: stages {', '.join(o.stages)} in {o.seconds:.0f} s at most")
     with limited_threads(setting.threads):
         return machine, carry_out(stages, whole, report)
 
@@ -171,11 +171,9 @@ def _table(machine: Mapping[str, Any], results: Sequence[Result]) -> Table:
     table = new_table(
         f"{machine['device']} ({about}), {machine['date']}", "stage, figure", "value", "95 %", "check", "how"
     )
-    for column in (table.columns[0], table.columns[-1]):
-        column.no_wrap, column.justify = False, "left"
+    table.columns[0].no_wrap, table.columns[-1].justify = True, "left"
     for result in results:
-        reason = f" ({result.reason})" if result.reason else ""
-        table.add_row(f"{result.stage}: {result.outcome}{reason}", f"{result.seconds:.1f} s", "", "", "")
+        table.add_row(f"{result.stage}: {result.outcome}", f"{result.seconds:.1f} s", "", "", "")
         for each in result.findings:
             p95 = "" if each.p95 is None else f"{each.p95:.4g}"
             check = "" if each.most is None else f"{'ok' if each.passes else 'FAILS'}, at most {each.most:g}"

@@ -54,7 +54,7 @@ class Sizes:
     training: int = 500
     held_out: int = 60
     training_batches: tuple[int, ...] = (4, 64)
-    epochs: int = 60
+    epochs: int = 200
     landmarks: int = 1000
 
 

@@ -37,7 +37,7 @@ class Finding:
 
 
 class OutOfTime(Exception):
-    """The time of a stage is over."""
+    """The time of a stage is over, or too short for what comes next, which the message then says."""
 
 
 class Deadline:
@@ -108,9 +108,9 @@ def carry_out(
                 result.findings.append(finding)
                 report(results)
             result.outcome = "done"
-        except OutOfTime:
-            result.outcome = "out of time"
-            result.reason = f"its {max(begin_s, 0.0):.0f} s were over after {len(result.findings)} figures"
+        except OutOfTime as error:
+            over = f"its {max(begin_s, 0.0):.0f} s were over after {len(result.findings)} figures"
+            result.outcome, result.reason = "out of time", str(error) or over
         except Exception as error:
             result.outcome = "failed"
             result.reason = f"{type(error).__name__}: {(str(error).strip() or 'no message').splitlines()[0]}"

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import Literal
 
@@ -20,14 +20,16 @@ from vapor.regressors.scene_box import SceneBox
 from vapor.training.config import TrainConfig
 from vapor.training.epoch import train_epoch
 from vapor.training.presets import PRESETS
+from vapor.training.schedule import steps_in_epoch
 from vapor.training.state import TrainingState, start
 from vapor.training_data.training_set import TrainingSet
 
 SCENE = "round-table"
 _PAPER, _FAST = PRESETS["paper-synthetic"], PRESETS["resnet18"]
-_WARM_UP, _TIMED, _FEWEST = 3, 20, 3  # steps
+_WARM_UP, _TIMED, _FEWEST = 2, 40, 3  # steps
 _SHARE_OF_CPU, _SHARE_OF_RATE = 0.12, 0.08  # of the time that is left
-_EVALUATED_SAMPLES = 200
+_FILLED = 0.8  # of the time for a course: with what is learned from; the rest is for evaluation
+_EVALUATIONS, _SAMPLES = 12, 200  # of a course, about; and posterior samples of an image in one
 _Arithmetic = Literal["float32", "bfloat16"]
 
 
@@ -116,57 +118,72 @@ def _rate(what: str, config: TrainConfig, training: TrainingSet, deadline: Deadl
     return Finding(what, float(batch / np.median(steps_s)), "images/s", note=note)
 
 
+@dataclass(frozen=True)
+class Reached:
+    """Seconds of training, images learned from, and sample recall on held-out images so far, 0 to 1."""
+
+    seconds: float
+    images: int
+    recall: float
+
+
 def _time_to_recall(
     setting: Setting,
     training: TrainingSet,
     held_out: TrainingSet,
-    rates: dict[tuple[str, _Arithmetic], float],
+    rates: Mapping[tuple[str, _Arithmetic], float],
     deadline: Deadline,
 ) -> Iterator[Finding]:
     """Time of training, without evaluation, until the fast schedule recalls as much in float32 as in bfloat16."""
-    precisions: tuple[_Arithmetic, ...] = ("float32", "bfloat16")
-    each_s = 0.4 * max(deadline.left_s, 0.0)  # of two; a fifth is for evaluation
-    possible = int(each_s * rates[setting.device, "float32"] / len(training))
-    epochs = min(setting.sizes.epochs, possible)
+    epochs = int(_FILLED * 0.5 * deadline.left_s * rates[setting.device, "float32"] / len(training))
+    epochs = min(setting.sizes.epochs, epochs)
     if epochs < 2:
-        raise OutOfTime
-    courses: dict[_Arithmetic, list[tuple[float, float]]] = {}
-    for precision in precisions:
+        raise OutOfTime("there is no time for two epochs of the fast schedule, so recalls are not compared")
+    courses: dict[_Arithmetic, list[Reached]] = {}
+    kept: tuple[tuple[_Arithmetic, float], ...] = (("float32", 0.5), ("bfloat16", 0.0))  # of the time, for the next
+    for precision, later in kept:
         batch = min(_FAST.batch_size, len(training))
         config = _config(_FAST, setting, batch, precision, setting.device, epochs)
-        courses[precision] = _course(config, training, held_out, deadline)
-        seconds, recall = max(courses[precision], key=lambda each: each[1])
-        of_best = f"of {epochs} epochs of {len(training)} images, best after {seconds:.1f} s"
-        yield Finding(f"fast schedule, {precision}: sample recall", 100.0 * recall, "%", note=of_best)
-    recall = min(max(recall for _, recall in course) for course in courses.values())
+        own = deadline.before(later * deadline.left_s)
+        courses[precision] = course = _course(config, training, held_out, own)
+        best = max(course, key=lambda each: each.recall)
+        note = f"after {best.images} images in {best.seconds:.1f} s, the best of {course[-1].images} images"
+        yield Finding(f"fast schedule, {precision}: sample recall", 100.0 * best.recall, "%", note=note)
+    recall = min(max(each.recall for each in course) for course in courses.values())
     if recall == 0.0:  # there was too little time for any pose to be recalled: there is no time to state
         return
     for precision, course in courses.items():
-        seconds, images = next(
-            (seconds, (epoch + 1) * len(training))
-            for epoch, (seconds, reached) in enumerate(course)
-            if reached >= recall
-        )
-        note = f"{images} images; evaluation apart"
+        first = next(each for each in course if each.recall >= recall)
+        note = f"{first.images} images; evaluation apart"
         if (on_cpu := rates.get(("cpu", "float32"))) is not None and setting.device != "cpu":
-            note += f"; on the processor, by its images a second, {images / on_cpu:.0f} s"
-        yield Finding(f"fast schedule, {precision}: time to {100.0 * recall:.1f} % recall", seconds, "s", note=note)
+            note += f"; on the processor, by its images a second, {first.images / on_cpu:.0f} s"
+        what = f"fast schedule, {precision}: time to {100.0 * recall:.1f} % recall"
+        yield Finding(what, first.seconds, "s", note=note)
 
 
-def _course(
-    config: TrainConfig, training: TrainingSet, held_out: TrainingSet, deadline: Deadline
-) -> list[tuple[float, float]]:
-    """Seconds of training and sample recall on held-out images, after every epoch."""
+def _course(config: TrainConfig, training: TrainingSet, held_out: TrainingSet, deadline: Deadline) -> list[Reached]:
+    """What a training has reached, some times on its way; where time is short, not to its end.
+
+    Raises:
+        OutOfTime: it was not evaluated once.
+    """
     state, course, seconds = _started(config, training), [], 0.0
     widths = Calibration(config.bandwidth_translation_m, config.bandwidth_rotation_rad)
-    while state.epoch < config.known_epochs:
-        begin = perf_counter()
-        loss = train_epoch(state, training, config, deadline.check)
-        seconds += perf_counter() - begin
-        state.epoch += 1
-        kept = state.average if config.ema_decay else state.network
-        figures = validate(
-            kept, held_out, widths, num_samples=_EVALUATED_SAMPLES, seed=0, epoch=state.epoch, train_loss=loss
-        )
-        course.append((seconds, figures.sample_recall))
+    images = steps_in_epoch(training, config) * config.batch_size
+    interval = max(1, config.known_epochs // _EVALUATIONS)
+    try:
+        while state.epoch < config.known_epochs:
+            begin = perf_counter()
+            loss = train_epoch(state, training, config, deadline.check)
+            seconds += perf_counter() - begin
+            state.epoch += 1
+            if state.epoch % interval == 0:
+                kept = state.average if config.ema_decay else state.network
+                figures = validate(
+                    kept, held_out, widths, num_samples=_SAMPLES, seed=0, epoch=state.epoch, train_loss=loss
+                )
+                course.append(Reached(seconds, state.epoch * images, figures.sample_recall))
+    except OutOfTime:
+        if not course:
+            raise
     return course
