@@ -25,10 +25,10 @@ def time_networks(setting: Setting, deadline: Deadline) -> Iterator[Finding]:
     """Times of batches that are on the device, and how far bfloat16 and recorded kernels deviate from eager float32."""
     for batch in setting.sizes.batches:
         for name, checkpoint in setting.networks.items():
-            with torch.inference_mode():
-                yield from _time_batch(f"{name}, {batch} a batch", checkpoint, batch, setting, deadline)
+            yield from _time_batch(f"{name}, {batch} a batch", checkpoint, batch, setting, deadline)
 
 
+@torch.inference_mode()
 def _time_batch(
     what: str, checkpoint: Checkpoint, batch: int, setting: Setting, deadline: Deadline
 ) -> Iterator[Finding]:

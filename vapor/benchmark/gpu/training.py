@@ -63,19 +63,15 @@ def _config(
 
 
 def _images(setting: Setting, deadline: Deadline) -> tuple[TrainingSet, TrainingSet]:
-    """Images of a walk to train on, and of another one to test on; both rendered."""
-    s = setting.sizes
-    return _rendered(setting, "train", s.training, deadline), _rendered(setting, "test", s.held_out, deadline)
-
-
-def _rendered(setting: Setting, split: Literal["train", "test"], count: int, deadline: Deadline) -> TrainingSet:
+    """Images of a rendered walk to train on, and others of the same walk, evenly spread, by which recall is judged."""
     s, size = setting.sizes, setting.sizes.paper.frame_size
-    walk = synthesize(SCENE, seed=0, num_frames=count, split=split, width=s.width, height=s.height)
+    count = s.training + s.held_out
+    walk = synthesize(SCENE, seed=0, num_frames=count, split="train", width=s.width, height=s.height)
     images = np.empty((count, size[1], size[0], 3), np.uint8)
     for number, image in enumerate(walk.images()):
         deadline.check()
         images[number] = centre_crop(scale_to_cover(image, *size), *size)
-    return TrainingSet(
+    every = TrainingSet(
         images,
         np.arange(count),
         walk.world_from_camera,
@@ -85,6 +81,9 @@ def _rendered(setting: Setting, split: Literal["train", "test"], count: int, dea
         walk.image_times_ns,
         (None,) * count,
     )
+    held_out = np.zeros(count, bool)
+    held_out[np.linspace(0, count - 1, s.held_out).astype(np.int64)] = True
+    return every.select(np.flatnonzero(~held_out)), every.select(np.flatnonzero(held_out))
 
 
 def _started(config: TrainConfig, training: TrainingSet) -> TrainingState:
