@@ -9,7 +9,6 @@ from vapor.track import run_program
 
 COMMANDS = {
     "step": "time the parts of a step: decoding, network, landmarks, filter",
-    "gpu": "measure a GPU in a few minutes: the same results as on the processor, and times",
     "localization": "localize many synthetic sequences, and count successes",
     "faults": "localize walks in which the camera or the odometry fails: synthetic sequences, or recordings",
     "out-of-distribution": "count images of a place that are flagged as out of distribution, and others that are not",
@@ -18,6 +17,7 @@ COMMANDS = {
     "live": "measure `vapor-track live`: time from images and odometry to poses, memory, processor time",
     "live-faults": "let faults happen to a robot that `vapor-track live` follows",
     "regressors": "train every method on every scene, and measure recall, errors and densities",
+    "gpu": "measure a GPU in a few minutes: the same results as on the processor, and times",
 }
 """Name -> description; each is a module of `vapor.benchmark.commands`, imported only when it is called."""
 

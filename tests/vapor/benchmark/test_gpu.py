@@ -48,13 +48,26 @@ def test_every_stage_runs_on_a_processor_and_all_figures_are_written(rough_light
         assert all(math.isfinite(value) and what in out for what, value in figures)
 
 
+class _Unrecorded(torch_engine.Recorded):
+    """What cannot be recorded on a processor is computed every time, into the inputs that a recording would read."""
+
+    def __init__(self, network, inputs, autocast):
+        self._network, self._inputs, self._autocast = network, inputs, autocast
+
+    def __call__(self, image, noise):
+        for own, given in zip(self._inputs, (image, noise), strict=True):
+            own.copy_(given)
+        with self._autocast():
+            return self._network(*self._inputs)
+
+
 def test_all_that_is_done_on_a_gpu_runs_with_a_processor_in_its_place(rough_light, tmp_path, monkeypatch):
     start_engine = torch_engine.TorchEngine.__init__
     monkeypatch.setattr(
         torch_engine.TorchEngine, "__init__", lambda self, model, **_: start_engine(self, model, device="cpu")
     )
     monkeypatch.setattr("vapor.training.state.resolve_device", lambda _: CPU)
-    monkeypatch.setattr(network, "Recorded", lambda samples, inputs, autocast: samples)
+    monkeypatch.setattr(network, "Recorded", _Unrecorded)
     monkeypatch.setattr(Setting, "torch_device", CPU)
     setting = Setting("cuda", TINY, tmp_path)
     results = carry_out(gpu._stages(setting, tuple(gpu._STAGES)), Deadline(1000.0))
@@ -88,6 +101,34 @@ def test_a_network_that_gives_other_poses_on_the_device_fails(rough_light, tmp_p
     assert "checks that failed: staircase model, float32: position" in capsys.readouterr().err
     findings = json.loads(output.read_text())["stages"][0]["findings"]
     assert next(each["value"] for each in findings if each["what"].endswith("position")) == pytest.approx(17.3, abs=0.1)
+
+
+def _rounded(numbers):
+    """To ten bits, as TensorFloat-32."""
+    bits = numbers.contiguous().view(torch.int32)
+    return ((bits + 0x1000) & ~0x1FFF).view(torch.float32)
+
+
+def test_the_tolerances_are_ten_times_what_rounded_convolutions_make_of_samples(rough_light, tmp_path, monkeypatch):
+    run, convolve, engines = torch_engine.TorchEngine.run, torch.nn.Conv2d._conv_forward, []
+
+    def rounded_on_device(self, image, noise):
+        engines.append(self) if self not in engines else None
+        with monkeypatch.context() as patch:
+            if engines.index(self) % 2:  # the reference comes first
+                patch.setattr(
+                    torch.nn.Conv2d,
+                    "_conv_forward",
+                    lambda self, pixels, weight, bias: convolve(self, _rounded(pixels), _rounded(weight), bias),
+                )
+            return run(self, image, noise)
+
+    monkeypatch.setattr(torch_engine.TorchEngine, "run", rounded_on_device)
+    monkeypatch.setattr(parity, "_ON_PROCESSORS", (parity._Way("rounded", parity.TF32),))
+    found = list(parity.compare_networks(Setting("cpu", TINY, tmp_path), Deadline(1000.0)))
+    rounded = [each for each in found if ", rounded: " in each.what]
+    assert len(rounded) == 6  # of two networks: positions, rotations, densities
+    assert all(each.most is not None and 0.0 < each.value < 0.1 * each.most for each in rounded)
 
 
 def test_deviations_are_of_99_percent_of_the_samples_and_small_rotations_are_seen():

@@ -28,7 +28,6 @@ def time_networks(setting: Setting, deadline: Deadline) -> Iterator[Finding]:
             yield from _time_batch(f"{name}, {batch} a batch", checkpoint, batch, setting, deadline)
 
 
-@torch.inference_mode()
 def _time_batch(
     what: str, checkpoint: Checkpoint, batch: int, setting: Setting, deadline: Deadline
 ) -> Iterator[Finding]:
@@ -57,7 +56,7 @@ def _time_batch(
         def eager(
             images: Tensor, noise: Tensor, autocast: Callable[[], AbstractContextManager[object]] = autocast
         ) -> tuple[Tensor, ...]:
-            with autocast():
+            with torch.inference_mode(), autocast():
                 return samples(images, noise)
 
         found = _on_cpu(eager(images, noise))
@@ -68,11 +67,17 @@ def _time_batch(
         yield time(f"{what}, {precision}, eager", eager)
         if setting.device == "cuda":
             # Recorded for other images, so that a replay that ignored the given ones would be noticed.
-            recorded = Recorded(samples, (torch.zeros_like(images), torch.zeros_like(noise)), autocast)
-            replayed = _on_cpu(recorded(images, noise))
+            with torch.inference_mode():
+                recorded = Recorded(samples, (torch.zeros_like(images), torch.zeros_like(noise)), autocast)
+
+            def replayed(images: Tensor, noise: Tensor, recorded: Recorded = recorded) -> tuple[Tensor, ...]:
+                with torch.inference_mode():
+                    return recorded(images, noise)
+
+            again = _on_cpu(replayed(images, noise))
             if not bfloat16:
-                yield from sample_deviation(f"{what}, {precision}, graph from eager", replayed, found, TF32)
-            yield time(f"{what}, {precision}, graph", recorded)
+                yield from sample_deviation(f"{what}, {precision}, graph from eager", again, found, TF32)
+            yield time(f"{what}, {precision}, graph", replayed)
 
 
 def _on_cpu(poses: tuple[Tensor, ...]) -> tuple[np.ndarray, np.ndarray]:
