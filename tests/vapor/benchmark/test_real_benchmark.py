@@ -149,10 +149,17 @@ def test_a_place_stands_twice_and_what_is_there_once_in_the_copy_walked_in(tmp_p
     assert len(both) == 22 - copied._unique(poses, 1).sum() == 15
     assert np.allclose(once[0].world_from_camera.translation - both[0].world_from_camera.translation, [0.0, 3.0, 0.0])
     assert once[0].image.mean() != both[0].image.mean()
-    monkeypatch.setattr(real_benchmark, "ROWS", (copied,))
+    monkeypatch.setattr(real_benchmark, "ROWS", (copied, replace(copied, name="copied_visual", visual_of="copied")))
     assert run(tmp_path, tmp_path / "out", "--seeds", "2") == 0
+    assert len(list((tmp_path / "out" / "models").iterdir())) == 1
     rows = summary_of(tmp_path / "out")["summary"]
-    assert rows.keys() == {"copied, before", "copied, 2 s after", "copied, after"}
+    of = ("before", "2 s after", "after")
+    assert rows.keys() == {f"{row}, {images}" for row in ("copied", "copied_visual") for images in of}
+    context = RowContext(tmp_path, tmp_path / "out")
+    simulated, visual = (row.draw(context, 0).segment for row in real_benchmark.ROWS)
+    assert np.array_equal(simulated.times_ns, visual.times_ns)
+    assert None not in simulated.odometry[1:]
+    assert visual.odometry[1:] == (None,) * (len(visual.odometry) - 1)  # these images are noise
     assert rows["copied, 2 s after"]["images"] == 1
     assert rows["copied, after"]["whole_draws"]["right"].keys() == rows["copied, after"]["methods"].keys()
     assert "copied places: draws in which every image is right" in capsys.readouterr().out
