@@ -16,7 +16,7 @@ from vapor.benchmark.real import benchmark as real_benchmark
 from vapor.benchmark.real import trained_network
 from vapor.benchmark.real.copied_places import CopiedPlaces
 from vapor.benchmark.real.published import poses_of
-from vapor.benchmark.real.row import RowContext, simulated_motions
+from vapor.benchmark.real.row import RealConfig, RowContext, simulated_motions
 from vapor.benchmark.real.rows import ROWS
 from vapor.benchmark.real.trained_network import TrainedNetwork
 from vapor.regressors.loss import LossConfig
@@ -155,7 +155,7 @@ def test_a_place_stands_twice_and_what_is_there_once_in_the_copy_walked_in(tmp_p
     rows = summary_of(tmp_path / "out")["summary"]
     of = ("before", "2 s after", "after")
     assert rows.keys() == {f"{row}, {images}" for row in ("copied", "copied_visual") for images in of}
-    context = RowContext(tmp_path, tmp_path / "out")
+    context = RowContext(tmp_path, tmp_path / "out", RealConfig(num_samples=30))
     simulated, visual = (row.draw(context, 0).segment for row in real_benchmark.ROWS)
     assert np.array_equal(simulated.times_ns, visual.times_ns)
     assert None not in simulated.odometry[1:]
