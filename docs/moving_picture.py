@@ -89,7 +89,7 @@ def _storeys(side: Axes, path: np.ndarray, ends: tuple[np.ndarray, np.ndarray]) 
     low, high = ends
     for storey in range(-1, _STOREYS - 1):
         side.plot(path[:, 0], path[:, 1] + 3.0 * storey, color=FAINT, linewidth=1.2, zorder=1)
-    side.set_xlim(low[0], high[0] + 0.2 * (high[0] - low[0]))  # room for what stands beside a place
+    side.set_xlim(low[0], high[0] + 0.1 * (high[0] - low[0]))  # room for what stands beside a place
     side.set_ylim(low[1], high[1])
     heights = path[:, 1].mean() + 3.0 * np.arange(-1, _STOREYS - 1)
     side.set_yticks(heights, ["storey 1", "storey 2", "storey 3"], fontsize=9, color=INK)
