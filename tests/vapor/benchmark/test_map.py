@@ -1,5 +1,6 @@
 """`vapor-benchmark map`."""
 
+import json
 import re
 
 import numpy as np
@@ -28,7 +29,12 @@ def test_errors_are_those_after_the_similarity_that_fits_best():
 
 def test_a_recording_is_mapped_without_its_true_poses_and_compared_with_them(tmp_path, capsys):
     path = write_recording(tmp_path / "robot.mcap", walk(10, 1), true_poses=True)
-    assert main(["vapor-benchmark", "map", str(path), "--output", str(tmp_path / "place")]) == 0
+    summary = tmp_path / "map.json"
+    words = ["map", str(path), "--output", str(tmp_path / "place"), "--summary", str(summary)]
+    assert main(["vapor-benchmark", *words]) == 0
     out = capsys.readouterr().out
     assert re.search(r"robot +│ 10 of 10 │ +[01]\.\d cm", out)
+    (row,) = json.loads(summary.read_text())["rows"]
+    assert (row["walk"], row["placed"], row["images"]) == ("robot", 10, 10)
+    assert 0.0 < row["median_m"] <= row["p95_m"] <= row["largest_m"] < 0.1
     assert re.search(r"unit: recorded odometry of robot; (0\.99|1\.00)\d\d m", out)

@@ -1,1 +1,1 @@
-"""`vapor-benchmark buildings`: synthetic buildings, each with a model of its own, trained and used as the README says."""
+"""`vapor-benchmark buildings`: synthetic buildings, each with a model that is trained and used as the README says."""

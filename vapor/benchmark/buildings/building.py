@@ -75,7 +75,12 @@ class BuildingsConfig:
     def __post_init__(self) -> None:
         least, most = self.frames
         require_within(
-            self, training_walks=(1, 100), test_walks=(1, 1000), cameras=(1, 8), test_frames=(2, 10**6), height=(8, 10**4)
+            self,
+            training_walks=(1, 100),
+            test_walks=(1, 1000),
+            cameras=(1, 8),
+            test_frames=(2, 10**6),
+            height=(8, 10**4),
         )
         if not 2 <= least <= most:
             raise VaporTrackError(f"frames are {least} and {most}, expected at least 2, and the larger number last")
