@@ -28,8 +28,8 @@ def _state(measurements: Measurements) -> str:
     of_before = [name for name in entries if (measurements.result(name) or {}).get("carried_over")]
     measured = len(entries) - len(of_before) - sum(measurements.result(name) is None for name in entries)
     return (
-        f"Of {len(entries)} measurements {measured or 'none'} were made by `make measurements`, from the commit that they state."
-        f" {len(of_before)} were published before there was this command, and are of earlier code."
+        f"Of {len(entries)} measurements {measured or 'none'} were made by `make measurements`, from the commit that they"
+        f" state. {len(of_before)} were published before there was this command, and are of earlier code."
     )
 
 
@@ -92,4 +92,5 @@ def _shown(cell: Any, column: Mapping[str, Any]) -> str:
     if "of" in cell:
         low, high = (round(cell["of"] * cell[bound]) for bound in ("low", "high"))
         return f"{cell['value']} of {cell['of']} ({low}–{high})"
-    return f"{number(cell['value'])} ({number(cell['low'])}–{number(cell['high'])})"
+    value, low, high = (number(cell[key]) for key in ("value", "low", "high"))
+    return value if value == low == high else f"{value} ({low}–{high})"

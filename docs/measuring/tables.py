@@ -1,8 +1,8 @@
 """From the JSON that a benchmark writes to a small table: records are grouped, and a column is a figure of each group.
 
 A table of the list has `file`, or several `files` by a name for each; `records`, the list in them that holds a record
-for each run, walk or draw (without it a file is one record); `by`, the keys that name a row, of which `file` is the name
-of the file; and `columns`, each with a `name` and one of:
+for each run, walk or draw (without it a file is one record); `by`, the keys that name a row, of which `file` is the
+name of the file; and `columns`, each with a `name` and one of:
 
     median, mean   a number of each record, with its 95 % interval by a bootstrap over walks; `weight` of a mean
     total          how many records have a flag, or a number of at most `most` or at least `least`, with
@@ -60,7 +60,9 @@ def table_of(spec: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     if lacking := names.keys() - groups.keys():
         raise ValueError(f"no row {', '.join(sorted(lacking))} among {', '.join(groups)}")
     return head | {
-        "columns": [{key: column[key] for key in ("name", "unit", "digits") if key in column} for column in spec["columns"]],
+        "columns": [
+            {key: column[key] for key in ("name", "unit", "digits") if key in column} for column in spec["columns"]
+        ],
         "rows": [
             [shown, [_cell(column, groups[name], spec.get("walk")) for column in spec["columns"]]]
             for name, shown in names.items()

@@ -90,18 +90,24 @@ def tables(results: Results) -> Iterator[Table]:
     def minutes(walks: Results) -> str:
         return f"{walks[0]['train_s'] / 60:.0f} + {np.mean(values_at(walks, 'run_s')) / 60:.1f}"
 
+    def kept_whole(table: Table) -> Table:
+        table.columns[0].no_wrap = True
+        return table
+
     right = {f"\n{short_label(name)}": share("methods", name, "right") for name in SHOWN}
-    yield table_of(
-        "right, %",
-        "building: tour",
-        {
-            "landmarks\nverify, %": share("verified"),
-            **right,
-            "from\ns": each(lambda value: text(value, ".0f"), "first_right_s"),
-            "median, cm\nfilter": centimetres("filter"),
-            "\nsmoothed": centimetres("smoothed"),
-        },
-        groups,
+    yield kept_whole(
+        table_of(
+            "right, %",
+            "building: tour",
+            {
+                "landmarks\nverify, %": share("verified"),
+                **right,
+                "from\ns": each(lambda value: text(value, ".0f"), "first_right_s"),
+                "median, cm\nfilter": centimetres("filter"),
+                "\nsmoothed": centimetres("smoothed"),
+            },
+            groups,
+        )
     )
     confidence = table_of(
         "confidence of the filter, %",
@@ -118,25 +124,27 @@ def tables(results: Results) -> Iterator[Table]:
         groups,
     )
     confidence.caption = _CAPTION
-    yield confidence
-    yield table_of(
-        "all walks",
-        "",
-        {
-            "walks": lambda walks: str(len(walks)),
-            **{
-                f"{short_label(name)}\nright": lambda walks, name=name: percent_cell(
-                    over(walks).mean(values_at(walks, "methods", name, "right"))
-                )
-                for name in SHOWN
+    yield kept_whole(confidence)
+    yield kept_whole(
+        table_of(
+            "all walks",
+            "",
+            {
+                "walks": lambda walks: str(len(walks)),
+                **{
+                    f"{short_label(name)}\nright": lambda walks, name=name: percent_cell(
+                        over(walks).mean(values_at(walks, "methods", name, "right"))
+                    )
+                    for name in SHOWN
+                },
+                "\nconverged": lambda walks: percent_cell(over(walks).mean(values_at(walks, "status", "converged"))),
+                "of these\nwrong": lambda walks: percent_cell(_wrong(walks)),
             },
-            "\nconverged": lambda walks: percent_cell(over(walks).mean(values_at(walks, "status", "converged"))),
-            "of these\nwrong": lambda walks: percent_cell(_wrong(walks)),
-        },
-        {
-            reads or "all": [result for result in results if result["reads"] == reads]
-            for reads in dict.fromkeys(values_at(results, "reads"))
-        },
+            {
+                reads or "all": [result for result in results if result["reads"] == reads]
+                for reads in dict.fromkeys(values_at(results, "reads"))
+            },
+        )
     )
 
 
