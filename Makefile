@@ -45,8 +45,8 @@ SECONDS ?= 600
 fuzz: $(INSTALLED)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.fuzz --seconds $(SECONDS) $(FUZZ)
 
-# What docs/measurements.md has: what is missing or was measured by earlier code, or `make measurements ONLY="real step"`;
-# what is interrupted goes on. `ONLY=--list` prints the names, with how long each takes, and `ONLY=--page` makes the page.
+# What docs/measurements.md has and this has not measured yet, or with `make measurements ONLY="real step"` these with the
+# code as it is; what is interrupted goes on. `ONLY=--list` prints the names, with how long each takes, and `ONLY=--page` makes the page.
 ONLY ?=
 measurements: $(INSTALLED)
 	$(BIN)/python -m docs.measuring $(ONLY)

@@ -1,7 +1,7 @@
 """Measures what docs/measurements.md is about, and makes the page: `make measurements`.
 
-python -m docs.measuring             what is missing, or was measured by earlier code; then the page
-python -m docs.measuring NAME ...    these, whether or not they are there; then the page
+python -m docs.measuring             what it has not measured yet; then the page
+python -m docs.measuring NAME ...    these, with the code as it is; then the page
 python -m docs.measuring --list      their names, how long each takes on two cores, and when it was measured
 python -m docs.measuring --page      the page alone
 """

@@ -82,7 +82,7 @@ class Measurements:
 
     @property
     def missing(self) -> list[str]:
-        """Names of those that can be measured and have not been by code since there are such files."""
+        """Names of those that can be measured, and are not there or carried over."""
         return [name for name, each in self.entries.items() if each.commands and not self._is_measured(name)]
 
     def _is_measured(self, name: str) -> bool:

@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 
 from sequences.reader import SequenceReader
+from tests.helpers.measured import tables_on_the_page
 from vapor.benchmark.__main__ import main
 from vapor.benchmark.buildings.building import Building, BuildingsConfig
 from vapor.pipeline.config import RunConfig
@@ -59,6 +60,9 @@ def test_several_cameras_are_compared_with_one_and_a_unit_with_none(tmp_path):
         "one camera, no imu", "one camera, imu", "2 cameras, no imu", "2 cameras, imu",
     ]  # fmt: skip
     assert [walk["images"] for walk in walks] == [6, 6, 12, 12]
+    for name in ("buildings", "cameras", "gravity"):
+        for table in tables_on_the_page(name, tmp_path / "summary.json"):
+            assert table["rows"]
     images = {file.name.split("-")[2]: SequenceReader(file) for file in (tmp_path / "images").iterdir()}
     assert images["test"].num_images == 12
 

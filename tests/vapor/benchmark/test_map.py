@@ -9,6 +9,7 @@ import pytest
 from filtering.se3 import Poses
 from tests.helpers.command_line import main
 from tests.helpers.mapped_walks import straight
+from tests.helpers.measured import tables_on_the_page
 from tests.helpers.room_walks import write_recording
 from tests.helpers.textured_room import walk
 from vapor.benchmark.commands.map import Errors
@@ -37,4 +38,6 @@ def test_a_recording_is_mapped_without_its_true_poses_and_compared_with_them(tmp
     (row,) = json.loads(summary.read_text())["rows"]
     assert (row["walk"], row["placed"], row["images"]) == ("robot", 10, 10)
     assert 0.0 < row["median_m"] <= row["p95_m"] <= row["largest_m"] < 0.1
+    (table,) = tables_on_the_page("map", summary)
+    assert [name for name, _ in table["rows"]] == ["robot"]
     assert re.search(r"unit: recorded odometry of robot; (0\.99|1\.00)\d\d m", out)

@@ -3,6 +3,7 @@
 import json
 
 from tests.helpers.command_line import refuse
+from tests.helpers.measured import tables_on_the_page
 from vapor.benchmark.__main__ import main
 
 QUICK = ["step", "--repetitions", "1", "--num-samples", "10"]
@@ -38,6 +39,8 @@ def test_the_rows_of_the_table_are_written_as_json_where_nothing_else_is(tmp_pat
         assert main(words) == 0
         decoding, network = json.loads(file.read_text())["rows"]
         assert network["part"] == "network by torch, 10 samples"
+        (table,) = tables_on_the_page("step", file)
+        assert [name for name, _ in table["rows"]] == [decoding["part"], network["part"]]
         assert 0.0 < decoding["median_ms"] <= decoding["p99_ms"]
     file.write_text("mine")
     refuse(["vapor-benchmark", *words], capsys, "step.json: exists and is no summary of a benchmark")
