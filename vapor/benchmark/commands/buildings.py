@@ -26,8 +26,8 @@ from vapor.reporting.report import write_report
 Results = Sequence[Mapping[str, Any]]
 
 _CAPTION = (
-    "a number for each test walk; right: within 0.3 m and 20°; from: when the filter is right for the first time;"
-    " wrong: of the converged images"
+    "a number for each test walk; right: within 0.3 m and 20°; from: when the filter is right for the first time; cm:"
+    " median error; wrong and regions: of the converged images"
 )
 
 
@@ -71,88 +71,81 @@ def settings_of(config: BuildingsConfig) -> dict[str, Any]:
     return asdict(config) | {"train": train}
 
 
+# --- tables -----------------------------------------------------------------------------------------
+
+
 def tables(results: Results) -> Iterator[Table]:
-    """A row for each building and way to read its walks; below, what all walks give with intervals over them."""
+    """A row for each building and way to read its walks; below, what all walks give with intervals over buildings."""
     groups: dict[str, list[Mapping[str, Any]]] = {}
     for result in results:
         name = f"{result['building']}: {result['tour_m']:.0f} m"
         groups.setdefault(", ".join(filter(None, [name, result["reads"]])), []).append(result)
-
-    def each(form: Callable[[Any], str], *keys: str) -> Callable[[Results], str]:
-        return lambda walks: ", ".join(form(value) for value in values_at(walks, *keys))
-
-    def share(*keys: str) -> Callable[[Results], str]:
-        return each(lambda value: percent(value, unit=""), *keys)
-
-    def centimetres(method: str) -> Callable[[Results], str]:
-        return each(lambda value: text(value, ".1f", factor=100), "methods", method, "median_m")
-
-    def minutes(walks: Results) -> str:
-        return f"{walks[0]['train_s'] / 60:.0f} + {np.mean(values_at(walks, 'run_s')) / 60:.1f}"
-
-    def kept_whole(table: Table) -> Table:
-        table.columns[0].no_wrap = True
-        return table
-
-    right = {f"\n{short_label(name)}": share("methods", name, "right") for name in SHOWN}
-    yield kept_whole(
-        table_of(
-            "right, %",
-            "building: tour",
-            {
-                "landmarks\nverify, %": share("verified"),
-                **right,
-                "from\ns": each(lambda value: text(value, ".0f"), "first_right_s"),
-                "median, cm\nfilter": centimetres("filter"),
-                "\nsmoothed": centimetres("smoothed"),
-            },
-            groups,
-        )
-    )
-    confidence = table_of(
-        "confidence of the filter, %",
-        "building: tour",
-        {
-            "\nconverged": share("status", "converged"),
-            "\nwrong": share("wrong"),
-            "\nlost": share("status", "lost"),
-            "regions\n50, 90, 95 %": lambda walks: " / ".join(
-                ", ".join(percent(walk["coverage"][region], unit="") for region in REGIONS) for walk in walks
-            ),
-            "train, run\nminutes": minutes,
-        },
-        groups,
-    )
+    reads = dict.fromkeys(values_at(results, "reads"))
+    every = {each or "all walks": [result for result in results if result["reads"] == each] for each in reads}
+    confidence = table_of("confidence of the filter, %", "building: tour", _CONFIDENCE, groups)
     confidence.caption = _CAPTION
-    yield kept_whole(confidence)
-    yield kept_whole(
-        table_of(
-            "all walks",
-            "",
-            {
-                "walks": lambda walks: str(len(walks)),
-                **{
-                    f"{short_label(name)}\nright": lambda walks, name=name: percent_cell(
-                        over(walks).mean(values_at(walks, "methods", name, "right"))
-                    )
-                    for name in SHOWN
-                },
-                "\nconverged": lambda walks: percent_cell(over(walks).mean(values_at(walks, "status", "converged"))),
-                "of these\nwrong": lambda walks: percent_cell(_wrong(walks)),
-            },
-            {
-                reads or "all": [result for result in results if result["reads"] == reads]
-                for reads in dict.fromkeys(values_at(results, "reads"))
-            },
-        )
-    )
+    for table in (
+        table_of("right, %", "building: tour", _RIGHT, groups),
+        confidence,
+        table_of("over all buildings", "", _OVER_ALL, every),
+    ):
+        table.columns[0].no_wrap = True
+        yield table
 
 
-def over(walks: Results) -> Walks:
+def _each(form: Callable[[Any], str], *keys: str) -> Callable[[Results], str]:
+    return lambda walks: ", ".join(form(value) for value in values_at(walks, *keys))
+
+
+def _share(*keys: str) -> Callable[[Results], str]:
+    return _each(lambda value: percent(value, unit=""), *keys)
+
+
+def _centimetres(method: str) -> Callable[[Results], str]:
+    return _each(lambda value: text(value, ".1f", factor=100.0), "methods", method, "median_m")
+
+
+def _regions(walks: Results) -> str:
+    return " / ".join(", ".join(percent(walk["coverage"][region], unit="") for region in REGIONS) for walk in walks)
+
+
+def _minutes(walks: Results) -> str:
+    return f"{walks[0]['train_s'] / 60:.0f} + {np.mean(values_at(walks, 'run_s')) / 60:.1f}"
+
+
+def _mean(*keys: str) -> Callable[[Results], str]:
+    return lambda walks: percent_cell(_over(walks).mean(values_at(walks, *keys)))
+
+
+def _wrong(walks: Results) -> str:
+    sure = [walk["images"] * walk["status"]["converged"] for walk in walks]
+    return percent_cell(_over(walks).mean(values_at(walks, "wrong"), sure))
+
+
+def _over(walks: Results) -> Walks:
     """Intervals over buildings: walks through one share its model."""
     return Walks(values_at(walks, "building"))
 
 
-def _wrong(walks: Results) -> Any:
-    sure = [walk["images"] * walk["status"]["converged"] for walk in walks]
-    return over(walks).mean(values_at(walks, "wrong"), sure)
+Columns = Mapping[str, Callable[[Results], str]]
+
+_RIGHT: Columns = {
+    "landmarks\nverify, %": _share("verified"),
+    **{f"\n{short_label(name)}": _share("methods", name, "right") for name in SHOWN},
+    "from\ns": _each(text, "first_right_s"),
+    "filter\ncm": _centimetres("filter"),
+    "smoothed\ncm": _centimetres("smoothed"),
+}
+_CONFIDENCE: Columns = {
+    "\nconverged": _share("status", "converged"),
+    "\nwrong": _share("wrong"),
+    "\nlost": _share("status", "lost"),
+    "regions\n50, 90, 95 %": _regions,
+    "train, run\nminutes": _minutes,
+}
+_OVER_ALL: Columns = {
+    "\nwalks": lambda walks: str(len(walks)),
+    **{f"{short_label(name)}\nright": _mean("methods", name, "right") for name in SHOWN},
+    "\nconverged": _mean("status", "converged"),
+    "of these\nwrong": _wrong,
+}
