@@ -28,8 +28,8 @@ def _state(measurements: Measurements) -> str:
     of_before = [name for name in entries if (measurements.result(name) or {}).get("carried_over")]
     measured = len(entries) - len(of_before) - sum(measurements.result(name) is None for name in entries)
     return (
-        f"{measured or 'None'} of the {len(entries)} measurements were made by `make measurements`, of the commit that"
-        f" they state. {len(of_before)} were published before there was this command, and are of earlier code."
+        f"{len(entries)} measurements: {measured} by `make measurements`, each with the commit of its code, and"
+        f" {len(of_before)} published before there was this command, of earlier code."
     )
 
 

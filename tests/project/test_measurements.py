@@ -119,7 +119,7 @@ def test_a_measurement_of_the_library_becomes_a_section_of_the_page(made_up):
     assert "network by torch, 10 samples" in result["tables"][1]["text"]
     assert f"*Measured on {result['date']}: vapor-track " in page
     assert page.count("*Published on 2026-11-25, measured with earlier code on a slow one.*") == 1
-    assert "1 of the 3 measurements were made by `make measurements`" in page
+    assert "3 measurements: 1 by `make measurements`, " in page
 
 
 def test_figures_of_several_runs_have_intervals(made_up):
