@@ -10,6 +10,7 @@ from filtering.se3 import Poses
 from sequences.datasets.listing import list_images
 from tests.helpers.data_sets import make_7scenes
 from tests.helpers.full import full
+from tests.helpers.measured import tables_on_the_page
 from tests.helpers.pose_files import noisy, walk, write_named
 from vapor.benchmark.__main__ import main
 from vapor.benchmark.real import benchmark as real_benchmark
@@ -84,6 +85,10 @@ def test_a_place_30_times_as_large_gives_the_same_table_times_30(stairs, tmp_pat
     filtered, alone = (small["methods"][name]["median_translation_m"] for name in ("filter", "single_image"))
     assert filtered[1] <= filtered[0] <= filtered[2] < alone[0]  # two draws of odometry, one of the estimates
     assert alone[1:] == [None, None]
+    (table,) = tables_on_the_page("estimates", tmp_path / "summary.json")
+    assert [name for name, _ in table["rows"]] == ["stairs_hloc", "stairs_x30_hloc"]
+    for name in ("real", "copied"):  # other rows of the same benchmark
+        assert tables_on_the_page(name, tmp_path / "summary.json")
 
 
 @pytest.mark.usefixtures("unchecked")
