@@ -3,8 +3,8 @@
     vapor-benchmark real --data DIR --output real --only rooms_copied --seeds 1
     python docs/moving_picture.py DIR real docs/rooms.webp
 
-Images are real (HoloLens, deep-video-mvs, Düzçeker et al., CVPR 2021, MIT licence), the storeys are copies of one place,
-odometry is simulated.
+Images are real (HoloLens, sample data of deep-video-mvs, Düzçeker et al., CVPR 2021, MIT licence), the storeys are
+copies of one place, odometry is simulated.
 """
 
 from __future__ import annotations
@@ -109,7 +109,8 @@ def main() -> None:
     words = parser.parse_args()
     followed, images = localized(RowContext(words.data, words.benchmark), words.seed)
     path = followed.segment.truth.translation
-    low, high = path.min(axis=0)[:2] - [0.5, 4.3], path.max(axis=0)[:2] + [0.5, 4.3]
+    margin = np.array([0.5, 4.3])
+    low, high = path.min(axis=0)[:2] - margin, path.max(axis=0)[:2] + margin
     frames = [draw(followed, images, step, (low, high)) for step in range(len(images))]
     frames += [frames[-1]] * _HOLD
     first, *rest = frames
