@@ -62,6 +62,11 @@ class Odometry:
         return factor @ factor.T
 
     @cached_property
+    def spread_noise(self) -> Float64[np.ndarray, "6 6"]:
+        """Covariance of the noise that, spread evenly along the motion, adds up to its covariance (`accumulated`)."""
+        return _spread_noise(self.tangent, self.covariance)
+
+    @cached_property
     def is_motion(self) -> bool:
         """True; raises as `require_odometry`."""
         _require_motion(self)
@@ -104,7 +109,7 @@ class Odometry:
     def part(self, fraction: float) -> Odometry:
         """The first part of this motion, a fraction of its duration, as if twist and noise were constant along it."""
         first = fraction * self.tangent
-        covariance = accumulated(first, fraction * _spread_noise(self.tangent, self.covariance))
+        covariance = accumulated(first, fraction * self.spread_noise)
         return Odometry(Poses.exp(first), covariance, fraction * self.duration_s)
 
     def after(self, first: Odometry) -> Odometry:

@@ -72,7 +72,7 @@ class Observation:
         if not 0.0 <= self.elapsed_s < np.inf:
             raise VaporTrackError(f"{self.elapsed_s} s since the previous step, expected a finite time of 0 s or more")
         if self.time_ns is not None:
-            _require_time(self.time_ns)
+            require_time(self.time_ns)
 
     @staticmethod
     def of_posterior(
@@ -104,6 +104,11 @@ class Observation:
         return self.views[0].posterior.seen_from(self.views[0].reference_from_camera)
 
 
-def _require_time(time_ns: object) -> None:
+def require_time(time_ns: object) -> None:
+    """Check that a time is integer nanoseconds, 0 or more.
+
+    Raises:
+        VaporTrackError: it is not.
+    """
     if not isinstance(time_ns, int | np.integer) or isinstance(time_ns, bool) or not 0 <= time_ns < _MOST_NS:
         raise VaporTrackError(f"time_ns is {quoted(time_ns)}, expected integer nanoseconds from 0 to 2⁶³")

@@ -274,7 +274,8 @@ class FramePairing:
         except SequenceError as error:
             return self.skipped.image(why_skipped(error), taken_ns, str(error))
         truth = self.motion.true_pose(taken_ns)
-        time_ns, odometry = self.frames.add(taken_ns, name, covered=covered)
+        odometry = self.frames.motion_until(taken_ns)
+        time_ns = self.frames.add(taken_ns, name)
         self._last_ns[name] = max(taken_ns, self._last_ns.get(name, taken_ns))
         latest_ns = self.frames.latest_taken_ns
         assert latest_ns is not None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Sequence
 from typing import NamedTuple, Protocol, runtime_checkable
 
 from filtering.motion import Odometry
@@ -70,25 +69,29 @@ class FrameTimes:
         known = self._frames[bisect_left(self._frames, taken_ns, key=_taken_ns) : self._after(taken_ns)]
         return taken_ns >= self.earliest_ns and all(frame.camera != camera for frame in known)
 
-    def add(self, taken_ns: int, camera: str, *, covered: bool) -> tuple[int, Odometry | None]:
-        """Add the frame of an image that is admitted; its time, and its motion, None where that is unknown.
+    def add(self, taken_ns: int, camera: str) -> int:
+        """Add the frame of an image that is admitted; its time.
 
         Cameras take images at the same time; every frame has a time of its own, a nanosecond later.
         """
         at = self._after(taken_ns)
         time_ns = max([taken_ns, *(frame.time_ns + 1 for frame in self._frames[at - 1 : at])])
-        odometry = self._motion_since_last(taken_ns, self._frames[:at]) if covered else None
-        self._frames.insert(at, _FrameTime(time_ns, taken_ns, covered, camera))
+        self._frames.insert(at, _FrameTime(time_ns, taken_ns, self._motion.covers(taken_ns), camera))
         followed = bisect_left(self._frames, self._frames[-1].taken_ns - self._late_ns, key=_taken_ns) - 1
         del self._frames[: max(followed, 0)]
         self._motion.forget_before(self._frames[0].taken_ns)
-        return time_ns, odometry
+        return time_ns
+
+    def motion_until(self, taken_ns: int) -> Odometry | None:
+        """Motion of the camera since the last frame that is not later, where odometry covers both; None elsewhere."""
+        before = self._frames[: self._after(taken_ns)]
+        if not before or not before[-1].covered or not self._motion.covers(taken_ns):
+            return None
+        return self._motion.odometry_between(before[-1].taken_ns, taken_ns)
 
     def moved_until(self, time_ns: int) -> Odometry | None:
         """Motion of the camera since the latest frame, for use between images; None where it is unknown."""
-        if self.latest_ns is None or time_ns <= self.latest_ns or not self._motion.covers(time_ns):
-            return None
-        return self._motion_since_last(time_ns, self._frames)
+        return None if self.latest_ns is None or time_ns <= self.latest_ns else self.motion_until(time_ns)
 
     def settle(self, time_ns: int) -> None:
         """Begin the next motion there, as at a frame; earlier images are then too late."""
@@ -97,9 +100,3 @@ class FrameTimes:
 
     def _after(self, taken_ns: int) -> int:
         return bisect_right(self._frames, taken_ns, key=_taken_ns)
-
-    def _motion_since_last(self, time_ns: int, before: Sequence[_FrameTime]) -> Odometry | None:
-        """Motion since the last of the frames before, where odometry covers that."""
-        if not before or not before[-1].covered:
-            return None
-        return self._motion.odometry_between(before[-1].taken_ns, time_ns)
