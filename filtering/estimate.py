@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, get_args
+from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
@@ -16,6 +16,9 @@ from filtering.moments import mixture_moments
 from filtering.motion import GapMotion
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
+
+if TYPE_CHECKING:
+    from filtering.plots import Axes
 
 _MARGIN = 1.01  # of a squared distance of hypotheses that are compared in full
 
@@ -40,12 +43,12 @@ class Innovation(NamedTuple):
 
 
 def squared_radius(
-    probability: float, degrees_of_freedom: float | Float64[np.ndarray, " n"]
+    probability: float, degrees_of_freedom: float | Float64[np.ndarray, " n"], dimensions: int = 6
 ) -> Float64[np.ndarray, "*n"]:
     """Squared Mahalanobis distances within which poses are with a probability, of one mode or of n.
 
-    The six components of the error have a Student t distribution; it is Gaussian where the degrees of freedom are
-    infinite.
+    The six components of the error, and so many of them by themselves, have a Student t distribution; it is Gaussian
+    where the degrees of freedom are infinite.
 
     Raises:
         VaporTrackError: the probability is not between 0 and 1.
@@ -53,8 +56,8 @@ def squared_radius(
     if not 0.0 < probability < 1.0:
         raise VaporTrackError(f"region of probability {probability}, expected one between 0 and 1")
     nu = np.asarray(degrees_of_freedom, np.float64)
-    student = 6.0 * fdtri(6, np.minimum(nu, _GAUSSIAN), probability)
-    return np.where(nu < _GAUSSIAN, student, chdtri(6, 1.0 - probability))
+    student = dimensions * fdtri(dimensions, np.minimum(nu, _GAUSSIAN), probability)
+    return np.where(nu < _GAUSSIAN, student, chdtri(dimensions, 1.0 - probability))
 
 
 @dataclass(frozen=True)
@@ -82,13 +85,15 @@ class Mode:
     innovation: Innovation | None = None
     degrees_of_freedom: float = np.inf
 
-    def squared_radius(self, probability: float) -> float:
+    def squared_radius(self, probability: float, dimensions: int = 6) -> float:
         """Squared Mahalanobis distance within which the true pose is with a probability, if the mode is right.
+
+        Of so many dimensions by themselves, such as two of the position.
 
         Raises:
             VaporTrackError: the probability is not between 0 and 1.
         """
-        return float(squared_radius(probability, self.degrees_of_freedom))
+        return float(squared_radius(probability, self.degrees_of_freedom, dimensions))
 
     def contains(self, poses: Poses, probability: float) -> Bool[np.ndarray, "*n"]:
         """Which poses (any batch) lie in the mode's region of a probability, in all six dimensions.
@@ -200,6 +205,34 @@ class Estimate:
         factor = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
         draws = np.random.default_rng(0).standard_normal((count, 6, 1))
         return self.particles[which] @ Poses.exp((factor[which] @ draws)[..., 0])
+
+    def plot(
+        self,
+        axes: Axes | None = None,
+        *,
+        plane: str | None = None,
+        truth: Poses | None = None,
+        probability: float = 0.9,
+    ) -> Axes:
+        """Draw the modes from above, with their regions, directions of view and weights, and the particles.
+
+        Args:
+            axes: Matplotlib's axes to draw in; None for a new figure.
+            plane: Two axes of the world, such as "xz"; None for the horizontal ones, by the cameras.
+            truth: The true pose, or a true path (n,).
+            probability: Of the regions, if their modes are right.
+
+        Raises:
+            VaporTrackError: the plane is none, or the probability is not between 0 and 1.
+        """
+        from filtering.plots import Plan  # which is seldom needed
+
+        plan = Plan(axes, plane, Poses.stack([mode.world_from_camera for mode in self.modes]))
+        plan.points(self.particles, "particles")
+        plan.modes(self.modes, probability, "mode")
+        if truth is not None:
+            plan.truth(truth)
+        return plan.finish(f"{self.status}: best mode {100 * self.modes[0].weight:.0f} %")
 
 
 def describe_modes(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
@@ -16,6 +16,9 @@ from filtering.moments import group_moments
 from filtering.se3 import Poses
 from filtering.training_prior import TrainingPrior
 from filtering.unchecked import unchecked_replace
+
+if TYPE_CHECKING:
+    from filtering.plots import Axes
 
 _SOUGHT = 250  # samples among which peaks are sought
 _KERNEL_APART = np.exp(-2.0 * 1.5**2)  # of two samples that are 1.5 radii apart
@@ -291,6 +294,30 @@ class PosePosterior:
         # Filter and baselines share one decomposition.
         vars(larger)["factors"] = np.sqrt(factors)[:, None, None] * self.factors
         return larger
+
+    def plot(
+        self,
+        axes: Axes | None = None,
+        *,
+        plane: str | None = None,
+        truth: Poses | None = None,
+        probability: float = 0.9,
+    ) -> Axes:
+        """Draw the places from above, with their regions, directions of view and weights, and the samples.
+
+        Arguments and errors are those of `Estimate.plot`.
+        """
+        from filtering.estimate import posterior_modes  # which needs this module
+        from filtering.plots import Plan
+
+        modes = posterior_modes(self)
+        plan = Plan(axes, plane, self.means if len(modes) else self.samples)
+        plan.points(self.samples, "samples", size=3.0)
+        plan.modes(modes, probability, "place")
+        if truth is not None:
+            plan.truth(truth)
+        known = "no place" if not modes else "1 place" if len(modes) == 1 else f"{len(modes)} places"
+        return plan.finish(f"{known}, out of distribution" if self.is_out_of_distribution else known)
 
     def seen_from(self, reference_from_camera: Poses) -> PosePosterior:
         """The posterior of another frame that is fixed to the camera (one pose)."""

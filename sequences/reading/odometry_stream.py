@@ -103,8 +103,8 @@ class OdometryStream:
             self._form = form
             if form != "poses":  # whose gaps are known
                 self._window = PoseWindow(np.inf)
-        builds_on = form != "poses" and self.end_ns is not None and time_ns <= self.end_ns
-        if builds_on or not self._window.append(time_ns, pose, covariance):
+        is_behind = form != "poses" and self.end_ns is not None and time_ns <= self.end_ns
+        if is_behind or not self._window.append(time_ns, pose, covariance):
             self.skipped[NOT_INCREASING] += 1
             return False
         self._last = pose.orthonormal()
