@@ -18,7 +18,7 @@ from sequences.values import parse_numbers, parse_time_ns
 _COLUMNS = "time tx ty tz qx qy qz qw"
 
 
-def read_tum(path: Path, rows: Rows | None = None) -> Trajectory:
+def read_tum(path: Path | str, rows: Rows | None = None) -> Trajectory:
     """Read a trajectory; lines that start with # are comments.
 
     Args:
@@ -45,7 +45,7 @@ def _read_row(line: str, where: str) -> tuple[int, list[float]]:
     return parse_time_ns(fields[0], where), usable_pose(values, where, _COLUMNS)
 
 
-def write_tum(path: Path, trajectory: Trajectory) -> None:
+def write_tum(path: Path | str, trajectory: Trajectory) -> None:
     """Write a trajectory, whole or not at all; times to the nanosecond, poses to nine decimals.
 
     Raises VaporTrackError where a pose is not finite.
@@ -53,7 +53,7 @@ def write_tum(path: Path, trajectory: Trajectory) -> None:
     require_sound(trajectory.poses)
     table = np.concatenate([trajectory.poses.translation, trajectory.poses.as_quat_xyzw()], axis=1)
     table += 0.0  # −0 becomes 0
-    with atomic_output(path) as partial, open(partial, "w", encoding="ascii") as file:
+    with atomic_output(Path(path)) as partial, open(partial, "w", encoding="ascii") as file:
         for time_ns, row in zip(trajectory.times_ns, table, strict=True):
             file.write(f"{format_time(int(time_ns))} {' '.join(f'{value:.9f}' for value in row)}\n")
 
