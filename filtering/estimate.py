@@ -36,6 +36,20 @@ class Innovation(NamedTuple):
             summed over the images of a step. S is the innovation's covariance by the belief and the ordinary error.
         degrees_of_freedom: 6 for each of these images: what it is on average where the errors are Gaussian and as
             large as stated. Tails of a Student t distribution make it larger.
+
+    Example:
+        >>> import numpy as np
+        >>> import vapor
+        >>> places = vapor.Poses.from_quat_xyzw([[1, 2, 0], [1, 6, 0]], [[0, 0, 0, 1], [0, 0, 0, 1]])
+        >>> posterior = vapor.PosePosterior.from_estimates(places, 0.1, 0.05, vapor.MeasurementNoise())  # m, rad
+        >>> localizer = vapor.ParticleLocalizer(None, rng=np.random.default_rng(0))
+        >>> estimate = localizer.update(posterior, None)
+        >>> one_metre = vapor.Poses.from_quat_xyzw([1, 0, 0], [0, 0, 0, 1])
+        >>> odometry = vapor.Odometry(one_metre, 1e-4 * np.eye(6), duration_s=1.0)
+        >>> seen = vapor.PosePosterior.from_estimates(places @ one_metre, 0.1, 0.05, vapor.MeasurementNoise())
+        >>> innovation = localizer.update(seen, odometry).modes[0].innovation
+        >>> innovation.squared < innovation.degrees_of_freedom  # nearer than usual
+        True
     """
 
     squared: float
@@ -75,6 +89,19 @@ class Mode:
             that is new.
         degrees_of_freedom: Of the Student t distribution of the error, whose scale matrix is the covariance; infinite
             for a Gaussian. That of one calibrated image has the image's tails, that of many is nearly Gaussian.
+
+    Example:
+        >>> import numpy as np
+        >>> import vapor
+        >>> places = vapor.Poses.from_quat_xyzw([[1, 2, 0], [1, 6, 0]], [[0, 0, 0, 1], [0, 0, 0, 1]])
+        >>> posterior = vapor.PosePosterior.from_estimates(places, 0.1, 0.05, vapor.MeasurementNoise())  # m, rad
+        >>> localizer = vapor.ParticleLocalizer(None, rng=np.random.default_rng(0))
+        >>> estimate = localizer.update(posterior, None)
+        >>> best = estimate.modes[0]
+        >>> best.world_from_camera.translation.round(1), round(best.weight, 3), best.identity
+        (array([1., 2., 0.]), 0.475, 0)
+        >>> best.contains(vapor.Poses.from_quat_xyzw([1.1, 2, 0], [0, 0, 0, 1]), 0.9)
+        array(True)
     """
 
     world_from_camera: Poses
@@ -174,6 +201,19 @@ class Estimate:
         odometry_scale_error: Found in the odometry: where it is positive, reported distances are too long.
         gap_motion: How the camera moved in this step, where odometry was missing.
         left_out: Names of the cameras of this step whose views fit nowhere while those of the others fit.
+
+    Example:
+        >>> import numpy as np
+        >>> import vapor
+        >>> places = vapor.Poses.from_quat_xyzw([[1, 2, 0], [1, 6, 0]], [[0, 0, 0, 1], [0, 0, 0, 1]])
+        >>> posterior = vapor.PosePosterior.from_estimates(places, 0.1, 0.05, vapor.MeasurementNoise())  # m, rad
+        >>> localizer = vapor.ParticleLocalizer(None, rng=np.random.default_rng(0))
+        >>> estimate = localizer.update(posterior, None)
+        >>> estimate.status
+        'ambiguous'
+        >>> [round(mode.weight, 3) for mode in estimate.modes], round(estimate.unassigned, 3)
+        ([0.475, 0.475], 0.05)
+        >>> axes = estimate.plot()  # from above, with 90 % regions; axes.figure.savefig("belief.png")
     """
 
     modes: tuple[Mode, ...]

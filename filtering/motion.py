@@ -30,6 +30,15 @@ class Odometry:
             `previous_from_current @ Poses.exp(ξ)`; symmetric, positive semidefinite, in the current camera frame. Of
             white noise only: that of consecutive increments is independent.
         duration_s: Seconds it took, 0 or more.
+
+    Example:
+        >>> import numpy as np
+        >>> import vapor
+        >>> ahead = vapor.Poses.exp(np.array([0, 0, 0.25, 0, 0.1, 0]))  # z is forward; turned about y
+        >>> std = [0.01, 0.01, 0.02, 0.005, 0.005, 0.005]
+        >>> odometry = vapor.Odometry(ahead, np.diag(np.square(std)), duration_s=0.5)
+        >>> odometry.then(odometry).duration_s
+        1.0
     """
 
     previous_from_current: Poses

@@ -46,6 +46,18 @@ class PosePosterior:
         prior: Density of training poses at each place, in any unit, above 0, (k,); None for an even one. The weights
             contain it, which counts once; it is divided out of what further images add.
         mapped: Where landmarks can verify places; None for everywhere. Only the particle filter uses it.
+
+    Example:
+        >>> import numpy as np
+        >>> import vapor
+        >>> places = vapor.Poses.from_quat_xyzw([[1, 2, 0], [1, 6, 0]], [[0, 0, 0, 1], [0, 0, 0, 1]])
+        >>> noise = vapor.MeasurementNoise()
+        >>> posterior = vapor.PosePosterior.from_estimates(places, std_m=0.1, std_rad=0.05, noise=noise)
+        >>> rng = np.random.default_rng(0)
+        >>> drawn = places[rng.integers(2, size=500)] @ vapor.Poses.exp(0.1 * rng.standard_normal((500, 6)))
+        >>> len(vapor.PosePosterior.from_samples(drawn, noise).means)
+        2
+        >>> axes = posterior.plot(truth=places[0])
     """
 
     means: Poses
@@ -341,7 +353,20 @@ class PosePosterior:
 
 @runtime_checkable
 class ObservationModel(Protocol):
-    """Maps an image to its posterior: one network call per image."""
+    """Maps an image to its posterior: one network call per image.
+
+    Example:
+        >>> import numpy as np
+        >>> import vapor
+        >>> class Mine:
+        ...     def observe(self, image, *, rng):
+        ...         place = vapor.Poses.from_quat_xyzw([[image.mean() / 255, 0, 0]], [[0, 0, 0, 1]])  # your network
+        ...         return vapor.PosePosterior.from_estimates(place, 0.1, 0.05, vapor.MeasurementNoise())
+        >>> localizer = vapor.ParticleLocalizer(Mine(), rng=np.random.default_rng(0))
+        >>> estimate = localizer.step(np.full((48, 64, 3), 255, np.uint8), None)
+        >>> estimate.modes[0].world_from_camera.translation.round(1)
+        array([1., 0., 0.])
+    """
 
     def observe(self, image: np.ndarray, *, rng: np.random.Generator) -> PosePosterior:
         """The posterior of one image, (H, W, 3) uint8 RGB."""

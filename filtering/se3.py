@@ -41,6 +41,25 @@ class Poses:
     Attributes:
         rotation: Rotation matrices, float64.
         translation: Translations in metres, float64.
+
+    Example:
+        >>> import numpy as np
+        >>> import vapor
+        >>> from scipy.spatial.transform import Rotation
+        >>> turned = vapor.Poses.from_rotation([1, 2, 0], Rotation.from_euler("z", 90, degrees=True))
+        >>> turned.as_matrix().round(3).tolist()
+        [[0.0, -1.0, 0.0, 1.0], [1.0, 0.0, 0.0, 2.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+        >>> turned.as_quat_xyzw().round(3)
+        array([0.   , 0.   , 0.707, 0.707])
+        >>> turned.as_rotation().magnitude().round(3)
+        np.float64(1.571)
+        >>> quat_wxyz = turned.as_quat_xyzw()[[3, 0, 1, 2]]
+        >>> metres, radians = turned.distance(vapor.Poses.from_matrix(np.eye(4)))
+        >>> turned.inverse().apply(np.array([1.0, 3.0, 0.0])).round(3)
+        array([1., 0., 0.])
+        >>> path = vapor.Poses.stack([turned, vapor.Poses.identity()])  # a batch; `for pose in path:` goes over it
+        >>> len(path)
+        2
     """
 
     rotation: Float64[np.ndarray, "*batch 3 3"]

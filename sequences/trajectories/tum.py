@@ -28,6 +28,12 @@ def read_tum(path: Path | str, rows: Rows | None = None) -> Trajectory:
     Raises:
         SequenceError: the file is missing or empty, a line has other than eight numbers, a value is not finite or
             beyond what a pose has, a quaternion has no length, or times do not increase.
+
+    Example:
+        >>> import vapor
+        >>> trajectory = vapor.read_tum("truth.tum")
+        >>> trajectory.times_ns.dtype, trajectory.poses.translation.shape
+        (dtype('int64'), (25, 3))
     """
     path = Path(path)
     rows = rows or Rows(tolerant=False)
@@ -49,6 +55,13 @@ def write_tum(path: Path | str, trajectory: Trajectory) -> None:
     """Write a trajectory, whole or not at all; times to the nanosecond, poses to nine decimals.
 
     Raises VaporTrackError where a pose is not finite.
+
+    Example:
+        >>> import vapor
+        >>> trajectory = vapor.read_tum("truth.tum")
+        >>> vapor.write_tum("mine.tum", trajectory)  # then `evo_ape tum truth.tum mine.tum`
+        >>> len(vapor.read_tum("mine.tum"))
+        25
     """
     require_sound(trajectory.poses)
     table = np.concatenate([trajectory.poses.translation, trajectory.poses.as_quat_xyzw()], axis=1)

@@ -42,6 +42,15 @@ class StoredRun:
         status: How good the filter's pose of each image is: the columns of `status.csv` by name, (n,) each, with
             `time_ns`; numbers that are not known are NaN.
         report: The content of `report.json`.
+
+    Example:
+        >>> import vapor
+        >>> stored = vapor.read_run("result/")
+        >>> table = stored.table()
+        >>> medians = table.groupby("status")["filter.error_m"].median()
+        >>> medians["converged"] < 0.2
+        np.True_
+        >>> axes = vapor.plot_trajectories(stored.trajectories)
     """
 
     directory: Path
@@ -95,6 +104,14 @@ def read_run(directory: Path | str) -> StoredRun:
 
     Raises:
         SequenceError: it is no such directory, or a file is missing, damaged or changed.
+
+    Example:
+        >>> import vapor
+        >>> stored = vapor.read_run("result/")
+        >>> stored.trajectories["filter"].poses.translation.shape
+        (20, 3)
+        >>> stored.table()[["status", "filter.tx", "filter.error_m"]].shape
+        (20, 3)
     """
     directory = Path(directory)
     if not (directory / _STATUS).is_file() or not (directory / _REPORT).is_file():

@@ -36,6 +36,14 @@ def plot_trajectories(
 
     Raises:
         VaporTrackError: there is no pose, or the plane is none.
+
+    Example:
+        >>> import vapor
+        >>> paths = {"mine": vapor.read_tum("estimates.tum"), "truth": vapor.read_tum("truth.tum")}
+        >>> axes = vapor.plot_trajectories(paths)
+        >>> axes.get_xlabel()
+        'x [m]'
+        >>> axes.figure.savefig("paths.png")
     """
     paths = {name: each.poses if isinstance(each, Trajectory) else each for name, each in trajectories.items()}
     if not any(len(poses) for poses in paths.values()):

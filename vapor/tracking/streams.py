@@ -39,6 +39,17 @@ class StreamEstimate:
         map_from_base: Pose of the base then, by the best mode, one pose.
         map_from_odom: Transform from the map to the odometry's frame, one pose; None unless converged, and where no
             odometry covers the time. That of velocities or increments is where these began.
+
+    Example:
+        >>> import numpy as np
+        >>> import vapor
+        >>> place = vapor.Poses.from_quat_xyzw([[1, 2, 0]], [[0, 0, 0, 1]])
+        >>> posterior = vapor.PosePosterior.from_estimates(place, 0.1, 0.05, vapor.MeasurementNoise())  # m, rad
+        >>> localizer = vapor.ParticleLocalizer(None, rng=np.random.default_rng(0))
+        >>> stream = vapor.StreamLocalizer(localizer, wait_s=0.0)
+        >>> (now,) = stream.add_observation(vapor.Observation.of_posterior(posterior, None, time_ns=5))
+        >>> now.time_ns, now.map_from_base.translation.round(1), now.map_from_odom  # no odometry yet
+        (5, array([1., 2., 0.]), None)
     """
 
     time_ns: int
@@ -80,6 +91,22 @@ class StreamLocalizer:
 
     Raises:
         VaporTrackError: `wait_s` is not from 0 to 60.
+
+    Example:
+        >>> import numpy as np
+        >>> import vapor
+        >>> model = vapor.VaporObservationModel.from_checkpoint("place.safetensors")
+        >>> localizer = vapor.ParticleLocalizer(model, rng=np.random.default_rng(0))
+        >>> camera_on_robot = vapor.Poses.from_quat_xyzw([0.2, 0, 0.5], [-0.5, 0.5, -0.5, 0.5])
+        >>> stream = vapor.StreamLocalizer(localizer, base_from_camera=camera_on_robot)
+        >>> def publish(estimates):
+        ...     for now in estimates:
+        ...         print(now.time_ns, now.map_from_base.batch_shape)
+        >>> image = np.random.default_rng(0).integers(0, 256, (32, 48, 3), np.uint8)
+        >>> publish(stream.add_odometry(0, vapor.Poses.identity()))  # each in its callback
+        >>> publish(stream.add_image(50_000_000, image))  # waits for odometry
+        >>> publish(stream.add_odometry(100_000_000, vapor.Poses.from_quat_xyzw([0.1, 0, 0], [0, 0, 0, 1])))
+        50000000 ()
     """
 
     def __init__(

@@ -86,7 +86,9 @@ BAD = {
     r"status\.csv:2: status: 'sure', expected one of converged, ambiguous, lost": lambda text: text.replace(
         ",lost,", ",sure,", 1
     ),
-    r"status\.csv:2: std_m is 'wide', expected a number": lambda text: text.replace(text.split("\n")[1].split(",")[2], "wide", 1),
+    r"status\.csv:2: std_m is 'wide', expected a number": lambda text: text.replace(
+        text.split("\n")[1].split(",")[2], "wide", 1
+    ),
 }
 
 
