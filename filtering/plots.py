@@ -110,7 +110,7 @@ class Plan:
         margin_m = _MARGIN * float((high - low).max()) or 0.5  # for the numbers; and of a single point
         self.axes.update_datalim([low - margin_m, high + margin_m])
         self.axes.autoscale_view()
-        legend = self.axes.legend(loc="best", fontsize=8, framealpha=0.7)
+        legend = self.axes.legend(loc="best", fontsize=7, framealpha=0.7, handlelength=1.2)
         for handle in filter(None, legend.legend_handles):
             handle.set_alpha(1.0)
         return self.axes

@@ -1,5 +1,6 @@
 """The results of a run, read again from their directory."""
 
+import re
 import sys
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from filtering.errors import VaporTrackError
 from sequences.errors import SequenceError
 from sequences.outputs import results_folder
+from tests.helpers.checkout import CHECKOUT
 from tests.helpers.simulated_run import simulated_record
 from vapor.evaluation.trajectory import pose_errors
 from vapor.pipeline.results import RESULTS, write_results
@@ -66,6 +68,15 @@ def test_images_without_a_true_pose_have_no_error(tmp_path):
     run = read_run(stored(record, tmp_path / "run"))
     assert "truth" not in run.trajectories
     assert not [column for column in run.table() if column.endswith("error_m")]
+
+
+def test_the_lines_of_the_start_page_run(record, tmp_path, monkeypatch):
+    page = (CHECKOUT / "docs" / "start.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL)
+    stored(record, tmp_path / "demo" / "staircase")
+    monkeypatch.chdir(tmp_path)
+    exec(compile(block, "start.md", "exec"), {"__name__": "page"})
+    assert (tmp_path / "paths.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_a_folder_that_is_no_run_is_named(tmp_path):
