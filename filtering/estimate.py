@@ -257,7 +257,7 @@ class Estimate:
         """Draw the modes from above, with their regions, directions of view and weights, and the particles.
 
         Args:
-            axes: Matplotlib's axes to draw in; None for a new figure.
+            axes: Matplotlib's axes to draw in, where `axes.legend()` adds a legend; None for a new figure with one.
             plane: Two axes of the world, such as "xz"; None for the horizontal ones, by the cameras.
             truth: The true pose, or a true path (n,).
             probability: Of the regions, if their modes are right.

@@ -46,6 +46,7 @@ class Plan:
             VaporTrackError: the plane is none.
         """
         self.plane = _numbers_of(plane) if plane is not None else level_axes(poses)
+        self._is_new = axes is None
         if axes is None:
             from matplotlib import pyplot
 
@@ -103,23 +104,22 @@ class Plan:
         )
 
     def finish(self, title: str = "") -> Axes:
-        """Add the legend, and the title where there is none yet."""
+        """Add the title where there is none yet, and the legend to a new figure: `axes.legend()` adds it to others."""
         if title and not self.axes.get_title():
             self.axes.set_title(title, fontsize=10)
         low, high = np.asarray(self.axes.dataLim.get_points())
         margin_m = _MARGIN * float((high - low).max()) or 0.5  # for the numbers; and of a single point
         self.axes.update_datalim([low - margin_m, high + margin_m])
         self.axes.autoscale_view()
-        legend = self.axes.legend(loc="best", fontsize=7, framealpha=0.7, handlelength=1.2)
-        for handle in filter(None, legend.legend_handles):
-            handle.set_alpha(1.0)
+        if self._is_new:
+            self.axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=3, fontsize=8, frameon=False)
         return self.axes
 
     def _camera(self, pose: Poses, color: str, zorder: float) -> None:
         """A point where a camera is, and an arrow where it looks, shorter the more it looks out of the plane."""
         (x, y), (u, v) = pose.translation[list(self.plane)], pose.rotation[list(self.plane), 2]
-        style: dict[str, Any] = {"angles": "xy", "scale_units": "inches", "scale": 1.0 / _ARROW_INCHES, "width": 0.004}
-        self.axes.quiver(x, y, u, v, color=color, zorder=zorder, **style)
+        style: dict[str, Any] = {"angles": "xy", "scale_units": "inches", "scale": 1.0 / _ARROW_INCHES}
+        self.axes.quiver(x, y, u, v, color=color, zorder=zorder, units="inches", width=0.02, **style)
         self.axes.plot(x, y, ".", color=color, markersize=4, zorder=zorder)
 
     def _region(self, mode: Mode, probability: float) -> Float64[np.ndarray, "2 73"]:

@@ -76,7 +76,8 @@ def test_an_estimate_is_drawn_into_given_axes_with_its_weights_and_the_true_pose
     weights = [f"{100 * mode.weight:.0f} %" for mode in estimate.modes]
     assert sorted(each.get_text() for each in left.texts) == sorted(weights)
     assert [each.get_text() for each in right.texts] == [" + ".join(weights)]  # one above the other
-    names = [[each.get_text() for each in axes.get_legend().get_texts()] for axes in (left, right)]
+    assert left.get_legend() is None
+    names = [axes.get_legend_handles_labels()[1] for axes in (left, right)]
     assert names[0] == ["particles", "best mode, 90 % region", "other modes", "true pose"]
     assert names[1][-1] == "true path"
 

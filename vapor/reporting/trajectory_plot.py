@@ -31,7 +31,7 @@ def plot_trajectories(
 
     Args:
         trajectories: Trajectories, or poses (n,) world_from_camera.
-        axes: Matplotlib's axes to draw in; None for a new figure.
+        axes: Matplotlib's axes to draw in, where `axes.legend()` adds a legend; None for a new figure with one.
         plane: Two axes of the world, such as "xz"; None for the horizontal ones, by the cameras.
 
     Raises:
