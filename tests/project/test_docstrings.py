@@ -115,6 +115,10 @@ def robot(place, monkeypatch) -> Iterator[None]:
         thread.join()
 
 
+def test_only_data_has_no_example_of_its_own():
+    assert not any(callable(getattr(vapor, name)) for name in DATA)
+
+
 @pytest.mark.parametrize("name", [name for name in vapor.__all__ if name not in DATA])
 def test_the_example_of_a_public_name_runs(name, place, robot, monkeypatch, unchecked):
     monkeypatch.chdir(place)

@@ -138,7 +138,8 @@ class StreamLocalizer:
     @property
     def skipped(self) -> Counter[str]:
         """How many images and messages of odometry were left out so far, by reason."""
-        return self._past + self._odometry.skipped
+        with self._state:
+            return self._past + self._odometry.skipped
 
     # --- odometry ---------------------------------------------------------------------------------
 
@@ -262,7 +263,7 @@ class StreamLocalizer:
     def forget(self) -> None:
         """Forget where the camera is, all odometry, and what waits: everything begins anew, at any time."""
         with self._network, self._state:
-            self._past = self.skipped
+            self._past += self._odometry.skipped
             self._localizer.forget()
             self._begin()
 
