@@ -185,14 +185,15 @@ class Sources(NamedTuple):
         vertical, in_gap, motion, to_here = self.vertical, self.in_gap, step.odometry, None
         cameras, moved = self.cameras, [0.0] * sum(len(camera.sources) for camera in self.cameras.values())
         if in_gap is None:
-            motion, moved = None, [*moved, *([] if vertical is None else [0.0])]
+            motion = rescaled = None
+            moved = [*moved, *([] if vertical is None else [0.0])]
         elif motion is not None:
             rescaled = motion.rescaled(step.odometry_scale_error)
             cameras, moved = _each({name: camera.predict(rescaled) for name, camera in cameras.items()})
             vertical, moved = _with_vertical(vertical, moved)
             to_here = transition(motion, config.odometry_bias, moved, noise, new_drift=in_gap)
         else:
-            gap = step.gap_motion or GapMotion(Poses.identity())
+            rescaled, gap = None, step.gap_motion or GapMotion(Poses.identity())
             cameras, moved = _each({name: camera.across_gap(gap) for name, camera in cameras.items()})
             vertical, moved = _with_vertical(vertical, moved)
             still = Odometry.still(step.elapsed_s)
@@ -203,9 +204,8 @@ class Sources(NamedTuple):
         if not step.posterior.is_uninformative:
             camera, _, power = cameras[step.camera].observe(step.posterior)
             cameras = {**cameras, step.camera: camera}
-        pose = None if motion is None else motion.previous_from_current
         searched = SearchStep(
-            step.posterior, pose, step.elapsed_s, power, config.outlier_places, step.hypotheses, step.weights
+            step.posterior, rescaled, step.elapsed_s, power, config.outlier_places, step.hypotheses, step.weights
         )
         if vertical is not None and step.vertical is not None:
             vertical = vertical.observe(step.vertical)
