@@ -42,7 +42,16 @@ class GapConfig:
 
 @dataclass(frozen=True)
 class LocalizerConfig:
-    """Settings of the filter; lengths follow from the measurement noise of the images (`MeasurementNoise`)."""
+    """Settings of the filter; lengths follow from the measurement noise of the images (`MeasurementNoise`).
+
+    Example:
+        >>> import numpy as np
+        >>> import vapor
+        >>> config = vapor.LocalizerConfig(late_window_s=1.0, converged_std_m=0.3)
+        >>> localizer = vapor.ParticleLocalizer(None, config, rng=np.random.default_rng(0))
+        >>> localizer.config.late_window_s
+        1.0
+    """
 
     max_hypotheses: int = 50
     """Largest number of particles, each a hypothesis with a Gaussian of its own."""

@@ -30,6 +30,15 @@ class Odometry:
             `previous_from_current @ Poses.exp(ξ)`; symmetric, positive semidefinite, in the current camera frame. Of
             white noise only: that of consecutive increments is independent.
         duration_s: Seconds it took, 0 or more.
+
+    Example:
+        >>> import numpy as np
+        >>> import vapor
+        >>> ahead = vapor.Poses.exp(np.array([0, 0, 0.25, 0, 0.1, 0]))  # z is forward; turned about y
+        >>> std = [0.01, 0.01, 0.02, 0.005, 0.005, 0.005]
+        >>> odometry = vapor.Odometry(ahead, np.diag(np.square(std)), duration_s=0.5)
+        >>> odometry.then(odometry).duration_s
+        1.0
     """
 
     previous_from_current: Poses
@@ -60,6 +69,11 @@ class Odometry:
         """
         factor = covariance_factor(self.covariance)
         return factor @ factor.T
+
+    @cached_property
+    def spread_noise(self) -> Float64[np.ndarray, "6 6"]:
+        """Covariance of the noise that, spread evenly along the motion, adds up to its covariance (`accumulated`)."""
+        return _spread_noise(self.tangent, self.covariance)
 
     @cached_property
     def is_motion(self) -> bool:
@@ -104,7 +118,7 @@ class Odometry:
     def part(self, fraction: float) -> Odometry:
         """The first part of this motion, a fraction of its duration, as if twist and noise were constant along it."""
         first = fraction * self.tangent
-        covariance = accumulated(first, fraction * _spread_noise(self.tangent, self.covariance))
+        covariance = accumulated(first, fraction * self.spread_noise)
         return Odometry(Poses.exp(first), covariance, fraction * self.duration_s)
 
     def after(self, first: Odometry) -> Odometry:

@@ -59,6 +59,14 @@ class ImageSequence:
         has_stamps: Whether the time stamps of the images are stated; else their rate is assumed.
         num_images: Images in all, for progress; 0 where a video does not state it.
         image_description, odometry_description: None: no file states them.
+
+    Example:
+        >>> import vapor
+        >>> images = vapor.ImageSequence("images/", rate_hz=10.0)  # or a video
+        >>> for frame in images:
+        ...     frame.image.shape, frame.odometry
+        ((32, 48, 3), None)
+        ((32, 48, 3), None)
     """
 
     has_odometry = False

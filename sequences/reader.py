@@ -39,6 +39,14 @@ class SequenceReader:
         num_images: Images in the whole file, for progress.
         image_description: Origin of the images by the file's metadata, as `synthetic`; None where it states none.
         odometry_description: Origin of the odometry, likewise.
+
+    Example:
+        >>> import vapor
+        >>> sequence = vapor.SequenceReader("walk.mcap")
+        >>> for frame in sequence:
+        ...     image, odometry, truth = frame.image, frame.odometry, frame.world_from_camera
+        >>> sequence.num_images, sequence.has_odometry, sequence.base_from_camera.batch_shape
+        (25, True, ())
     """
 
     def __init__(

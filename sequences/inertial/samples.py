@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from filtering.se3 import rotation_from_quat_xyzw
+from filtering.so3 import rotation_from_quat_xyzw
 from sequences.errors import NotFoundError, SequenceError
 from sequences.options import SequenceOptions
 from sequences.reading.extrinsics import find_extrinsics

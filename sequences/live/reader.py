@@ -306,7 +306,7 @@ class LiveReader:
     @property
     def frame_ns(self) -> int | None:
         """Stamp at which the next motion begins: the latest of a frame, or a later one given to `settle`."""
-        return self._pairing.previous_ns
+        return self._pairing.frames.latest_ns
 
     @property
     def odometry_ns(self) -> int | None:
@@ -322,12 +322,12 @@ class LiveReader:
         return motion.odom_from_base(time_ns - len(self.lenses)) if pose is None and len(self.lenses) > 1 else pose
 
     def moved_until(self, time_ns: int) -> Odometry | None:
-        """See `FramePairing.moved_until`."""
-        return self._pairing.moved_until(time_ns)
+        """See `FrameTimes.moved_until`."""
+        return self._pairing.frames.moved_until(time_ns)
 
     def settle(self, time_ns: int) -> None:
-        """See `FramePairing.settle`."""
-        self._pairing.settle(time_ns)
+        """See `FrameTimes.settle`."""
+        self._pairing.frames.settle(time_ns)
 
 
 def open_live(

@@ -61,6 +61,14 @@ class VisualOdometry:
 
     Source: keyframe-based monocular odometry as of Klein and Murray, "Parallel tracking and mapping for small AR
     workspaces", ISMAR 2007; inverse depths as of Civera et al., T-RO 2008.
+
+    Example:
+        >>> import vapor
+        >>> images = vapor.ImageSequence("room/", rate_hz=10.0)
+        >>> odometry = vapor.VisualOdometry(images.camera)
+        >>> motions = [odometry.step(frame.image, frame.time_ns) for frame in images]
+        >>> motions[0] is None  # of the first image
+        True
     """
 
     bias: ClassVar[OdometryBias] = OdometryBias(scale=1.0, relative_drift=1.0, time_s=5.0, scale_time_s=200.0)

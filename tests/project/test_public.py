@@ -34,6 +34,8 @@ def test_a_name_that_is_not_public_is_no_attribute():
     [
         ("import vapor", {"torch", "numpy", "cv2", "gtsam"}),
         ("import vapor; vapor.ParticleLocalizer, vapor.SequenceReader", {"torch"}),
+        ("import vapor; vapor.Estimate, vapor.PosePosterior, vapor.StreamLocalizer", {"torch", "matplotlib", "pandas"}),
+        ("import vapor; vapor.read_run, vapor.read_tum, vapor.plot_trajectories", {"torch", "matplotlib", "pandas"}),
         ("from filtering import storeys; storeys.peaks_of(storeys.np.arange(3.0), 1)", {"scipy.signal", "scipy.stats"}),
     ],
 )

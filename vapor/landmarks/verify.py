@@ -151,6 +151,16 @@ class LandmarkVerifier:
 
     Attributes:
         latest: Verified poses of the latest image, by decreasing number of landmarks.
+
+    Example:
+        >>> import vapor
+        >>> model = vapor.VaporObservationModel.from_checkpoint("room.safetensors")  # a model with a map of landmarks
+        >>> frame = next(iter(vapor.ImageSequence("room/")))
+        >>> near = vapor.Poses.from_quat_xyzw([[0.0, 0.0, 0.0]], [[0, 0, 0, 1]])
+        >>> coarse = vapor.PosePosterior.from_estimates(near, std_m=0.5, std_rad=0.2, noise=vapor.MeasurementNoise())
+        >>> sharp = model.verifier.verify(frame.image, frame.camera, coarse)
+        >>> sharp.has_verified
+        True
     """
 
     def __init__(self, landmarks: Landmarks, noise: MeasurementNoise) -> None:

@@ -69,7 +69,15 @@ class ModelConfig(EngineConfig):
 
 @dataclass(frozen=True)
 class RunConfig(ModelConfig, FilteringConfig):
-    """Settings of a run with a regressor, beside the sequence and the model."""
+    """Settings of a run with a regressor, beside the sequence and the model.
+
+    Example:
+        >>> import vapor
+        >>> localizer = vapor.LocalizerConfig(converged_std_m=0.2)
+        >>> config = vapor.RunConfig(engine="torch", odometry="visual", lag=2.0, localizer=localizer)
+        >>> config.seed
+        0
+    """
 
     odometry: OdometrySource = "auto"
     """auto: use odometry where it is recorded, and elsewhere make it from the images. recorded: require it. visual:

@@ -153,6 +153,12 @@ def fuse(
 
     Raises:
         VaporTrackError: unusable files or output, or fewer than one in ten of the estimated frames left to localize.
+
+    Example:
+        >>> import vapor
+        >>> result = vapor.fuse(["estimates.tum"], "fused/", odometry="odometry.tum", ground_truth="truth.tum")
+        >>> result.report["filter"]["median_translation_m"] < 0.1
+        True
     """
     config, trust, reading = config or FilteringConfig(), trust or EstimateConfig(), reading or EstimateOptions()
     files = [Path(path) for path in estimates]

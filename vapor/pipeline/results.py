@@ -16,7 +16,8 @@ from sequences.trajectories.tum import write_tum
 from vapor.reporting.html.page import write_page
 from vapor.reporting.html.run_page import run_page
 from vapor.reporting.record import RunRecord
-from vapor.reporting.report import build_report, camera_notices, doubtful_notice, write_report, write_status
+from vapor.reporting.report import build_report, camera_notices, doubtful_notice, write_report
+from vapor.reporting.status_file import write_status
 from vapor.tracking.methods import FILES
 
 _PACKAGES = ("vapor-track", "torch", "numpy", "scipy", "filterpy", "gtsam", "opencv-python-headless", "rerun-sdk")

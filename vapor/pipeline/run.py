@@ -79,6 +79,14 @@ def run(
 
     Raises:
         VaporTrackError: unusable sequence, model or output, or fewer than one in ten of the images left to localize.
+
+    Example:
+        >>> import vapor
+        >>> config = vapor.RunConfig(recording=False)
+        >>> result = vapor.run("walk.mcap", "place.safetensors", "run/", config)
+        >>> result.record.methods["filter"].poses.translation.shape  # of world_from_camera, metres
+        (25, 3)
+        >>> stored = vapor.read_run("run/")  # the same again from the files
     """
     sequence, output = Path(sequence), Path(output)
     config = config or RunConfig()

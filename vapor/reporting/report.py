@@ -1,4 +1,4 @@
-"""The report of a run: `report.json`, `status.csv`, and the table that the command prints."""
+"""The report of a run: `report.json`, and the table that the command prints."""
 
 from __future__ import annotations
 
@@ -9,13 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Bool
 
 from filtering.estimate import STATUSES
 from sequences.atomic import atomic_output
 from sequences.errors import SequenceError
 from sequences.files import read_json
-from sequences.trajectories.tum import format_time
 from vapor.evaluation.consistency import evaluate_consistency
 from vapor.evaluation.storeys import evaluate_storeys
 from vapor.evaluation.trajectory import TAIL_M, THRESHOLDS, associate, evaluate_methods
@@ -148,41 +147,6 @@ def write_report(path: Path, report: Mapping[str, Any]) -> None:
     text = json.dumps(_rounded(report), indent=2, sort_keys=True, allow_nan=False) + "\n"
     with atomic_output(path) as partial:
         partial.write_text(text, encoding="utf-8")
-
-
-def write_status(path: Path, record: RunRecord) -> None:
-    """Write how good the pose of each image is, as CSV.
-
-    `status`, `std_m`, `std_deg`: the filter's status, and standard deviations of its pose along the widest axis of
-    position and rotation. `unassigned`: probability that the camera is at none of the hypotheses. `log_likelihood`: see
-    `Estimate`. `innovation`: normalised innovation squared of the best mode per degree of freedom; empty without one.
-    `smoothed`: whether the images about the smoothed pose fit it, `fits` or `doubtful`; or `ambiguous` where the second
-    trajectory is at another place. `smoothed_std_m`, `smoothed_std_deg`: of the smoothed pose. `carried_off`: 1 where
-    the camera was carried off before the image. `camera`: that of the image, where there are several.
-    """
-    columns = [format_time(time_ns) for time_ns in record.times_ns.tolist()], record.status, *_widest(record.covariance)
-    columns += tuple([f"{each:.4f}" for each in values] for values in (record.unassigned, record.log_likelihood))
-    columns += (["" if np.isnan(each) else f"{each:.3f}" for each in record.innovation],)
-    if (back := record.look_back) is None:
-        columns += ([""] * len(record.times_ns),) * 4
-    else:
-        fits = np.where(back.agreement < FITS, "doubtful", np.where(back.ambiguous, "ambiguous", "fits"))
-        columns += (fits, *_widest(back.trajectories["smoothed"].covariance), back.carried_off.astype(int))
-    columns += (record.cameras or [""] * len(record.times_ns),)
-    with atomic_output(path) as partial, open(partial, "w", encoding="utf-8") as file:
-        file.write(
-            "time,status,std_m,std_deg,unassigned,log_likelihood,innovation,smoothed,smoothed_std_m,smoothed_std_deg,"
-            "carried_off,camera\n"
-        )
-        file.writelines(",".join(map(str, row)) + "\n" for row in zip(*columns, strict=True))
-
-
-def _widest(covariance: Float64[np.ndarray, "n 6 6"]) -> tuple[list[str], list[str]]:
-    """Standard deviations along the widest axis of position and rotation, metres and degrees."""
-    std_m, std_rad = (
-        np.sqrt(np.linalg.eigvalsh(covariance[:, part, part]))[:, -1] for part in (slice(0, 3), slice(3, 6))
-    )
-    return [f"{each:.4f}" for each in std_m], [f"{each:.3f}" for each in np.degrees(std_rad)]
 
 
 def is_report(path: Path, keys: Collection[str]) -> bool:

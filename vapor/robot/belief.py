@@ -68,6 +68,14 @@ class LiveEstimate:
         map_from_odom: Transform from the map to the odometry's frame, one pose; None unless converged.
         latency_ms: Milliseconds from the arrival of the image, or the late one, to this estimate.
         skipped: Number of images that were skipped so far, by reason.
+
+    Example:
+        >>> import vapor
+        >>> def say(now: vapor.LiveEstimate) -> None:
+        ...     print(now.time_ns, now.estimate.status, now.map_from_base.translation, f"{now.latency_ms:.0f} ms")
+        >>> session = vapor.live("place.safetensors")  # then session.run(say)
+        >>> session.localized
+        0
     """
 
     frame: Frame

@@ -13,7 +13,15 @@ from vapor.pipeline.config import FilterConfig, ModelConfig
 
 @dataclass(frozen=True)
 class LiveConfig(ModelConfig, FilterConfig):
-    """Settings of live localization, beside the model and the system."""
+    """Settings of live localization, beside the model and the system.
+
+    Example:
+        >>> from pathlib import Path
+        >>> import vapor
+        >>> config = vapor.LiveConfig(map_frame="building", record=Path("drive-%Y%m%d-%H%M%S.mcap"))
+        >>> config.under
+        '/estimate'
+    """
 
     under: str = "/estimate"
     """Prefix of published topics, except /tf and /diagnostics."""

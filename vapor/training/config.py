@@ -21,7 +21,15 @@ _LARGER = 1.75  # edges of images, where a training may take longer
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """How a network is trained; the defaults are the fast schedule, the paper's are presets."""
+    """How a network is trained; the defaults are the fast schedule, the paper's are presets.
+
+    Example:
+        >>> from dataclasses import replace
+        >>> import vapor
+        >>> vapor.TrainConfig(epochs=10).landmarks
+        True
+        >>> overnight = replace(vapor.PRESETS["auto"], hours=8.0)
+    """
 
     network: NetworkConfig = field(default_factory=NetworkConfig)
     """Shape of the network, and of its images."""

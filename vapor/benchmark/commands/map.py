@@ -14,7 +14,8 @@ import tyro
 from jaxtyping import Float64
 from rich.table import Table
 
-from filtering.se3 import Poses, nearest_rotation
+from filtering.se3 import Poses
+from filtering.so3 import nearest_rotation
 from sequences.datasets.frames import posed_frames
 from sequences.datasets.listing import files_read, is_recording, list_images
 from sequences.mapping.config import MapConfig

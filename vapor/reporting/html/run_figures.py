@@ -6,12 +6,11 @@ from html import escape
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float64, Int64
 
 from filtering.estimate import STATUSES
 from sequences.frame import Trajectory
 from vapor.evaluation.trajectory import RIGHT, THRESHOLDS, associate, pose_errors
-from vapor.reporting.drawing import COLORS, as_jpeg, rgb
+from vapor.reporting.drawing import COLORS, as_jpeg, jumps, rgb
 from vapor.reporting.html.page import Block, data_url, plot
 from vapor.reporting.record import Keyframe, RunRecord, choose_keyframes
 from vapor.reporting.rerun_shapes import frusta
@@ -130,7 +129,7 @@ def _extent(record: RunRecord) -> tuple[np.ndarray, np.ndarray]:
 def _path(name: str, color: str, trajectory: Trajectory, *, visible: bool) -> dict[str, Any]:
     """A line that is broken where a hypothesis jumped instead of moving."""
     points = trajectory.poses.translation
-    jumped = _jumps(points)
+    jumped = jumps(points)
     kept = np.unique(np.concatenate([_evenly(len(points)), jumped, np.maximum(jumped - 1, 0)]))
     broken = np.isin(kept, jumped)
     drawn = np.insert(points[kept].round(3), np.flatnonzero(broken), np.nan, axis=0)
@@ -146,14 +145,6 @@ def _path(name: str, color: str, trajectory: Trajectory, *, visible: bool) -> di
         "hoverinfo": "name",
         "visible": True if visible else "legendonly",
     }
-
-
-def _jumps(positions: Float64[np.ndarray, "n 3"]) -> Int64[np.ndarray, " k"]:
-    """Indices of the positions (metres) that are much farther from the one before than is usual on the path."""
-    step = np.linalg.norm(np.diff(positions, axis=0), axis=1)
-    if len(step) == 0:
-        return np.zeros(0, np.int64)
-    return np.flatnonzero(step > 0.4 + 6.0 * np.median(step)) + 1
 
 
 def _evenly(count: int, most: int = _MOST_POINTS) -> np.ndarray:
