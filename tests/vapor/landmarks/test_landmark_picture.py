@@ -20,7 +20,7 @@ from vapor.landmarks.verify import Landmarks, LandmarkVerifier, ShownLandmarks, 
 from vapor.pipeline.config import RunConfig
 from vapor.pipeline.model import load_model
 from vapor.pipeline.run import VerifiedImages, run
-from vapor.reporting.html.run_page import landmark_caption, landmark_picture
+from vapor.reporting.html.landmark_picture import landmark_caption, landmark_picture
 
 SHARP = MeasurementNoise(noise_floor=(0.01,) * 3 + (0.003,) * 3, typical_std=(0.01,) * 3 + (0.003,) * 3)
 SOMEWHERE = PosePosterior.from_estimates(Poses.identity(1), 0.3, 0.1, MeasurementNoise())
@@ -58,7 +58,9 @@ def test_an_image_of_another_camera_is_shown_as_the_map_s_camera_sees_it(room, b
 def test_the_picture_marks_features_landmarks_and_where_they_must_be():
     image = np.full((100, 160, 3), 128, np.uint8)
     at = np.array([[40.0, 50.0], [80.0, 20.0]])
-    shown = ShownLandmarks(image, np.concatenate([at, [[120.0, 80.0]]]), at, at + np.array([2.0, 0.0]), (31,), 4)
+    shown = ShownLandmarks(
+        image, np.concatenate([at, [[120.0, 80.0]]]), np.zeros((0, 2)), at, at + np.array([2.0, 0.0]), (31,), 4
+    )
     picture = np.asarray(cv2.imdecode(np.frombuffer(landmark_picture(shown), np.uint8), cv2.IMREAD_COLOR)).astype(int)
     small = cv2.resize(picture.astype(np.float32), (160, 100), interpolation=cv2.INTER_AREA)
     blue, green, red = np.moveaxis(small, -1, 0)
@@ -71,7 +73,7 @@ def test_the_picture_marks_features_landmarks_and_where_they_must_be():
         assert not is_orange[y, x + 12 :].any()
     assert small[80, 120].min() > 150.0
     said = landmark_caption(shown, 0.4)
-    assert said.startswith("Image 4, at 0.4 s: of 3 features (grey) 2 are landmarks that agree with the pose (green).")
+    assert said.startswith("Image 4, at 0.4 s: of 3 features (grey) 3 match landmarks. 2 of these")
     assert "2.0 of 160 pixels off in the median" in said
     assert said.endswith("Another place is verified, by 31 landmarks.")
 
@@ -133,7 +135,8 @@ def test_a_run_with_landmarks_reports_a_picture_and_one_without_none(room, built
     calibration = replace(description.calibration, errors=noise)
     model.observation.description = replace(description, landmarks=Landmarks(built.landmarks), calibration=calibration)
     result = run(path, model, tmp_path / "with", config)
-    assert result.record.num_verified == 8
+    assert len(result.record.inliers) == 8
+    assert result.record.inliers.min() >= 12
     shown = result.record.landmarks
     assert np.linalg.norm(shown.predicted - shown.seen, axis=1).max() < 3.1
     np.testing.assert_array_less(np.abs(shown.image.astype(int) - room.view(poses[shown.number])).mean(), 5.0)
