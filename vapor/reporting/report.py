@@ -38,8 +38,8 @@ def build_report(record: RunRecord) -> dict[str, Any]:
     Returns:
         `frames`, `frames_with_true_pose`, `skipped`, `images` (see `ImageCounts`), `duration_s`, `status` (fraction of
         the images by status), `smoothed_doubtful` (number of poses; null without a smoothed trajectory), `hindsight`
-        (see below; null without), `particles` (median), `step_ms`, `peak_rss_mb`, with landmarks `verified` (fraction of
-        the images) and `inliers` (median number of landmarks in these), and `storeys` (see `evaluate_storeys`; null
+        (see below; null without), `particles` (median), `step_ms`, `peak_rss_mb`, with landmarks `verified` (fraction
+        of the images) and `inliers` (median number of landmarks in these), and `storeys` (see `evaluate_storeys`; null
         where there is one only). With true poses also each method's metrics (see `evaluate_trajectory`), `consistency`
         (see `evaluate_consistency`), and `reliability` of the weight of the best mode (see `Reliability.as_json`).
 

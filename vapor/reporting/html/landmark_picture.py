@@ -51,8 +51,8 @@ def landmark_caption(shown: ShownLandmarks, seconds: float) -> str:
     caption = (
         f"Image {shown.number}, at {seconds:.1f} s: of {len(shown.features)} features (grey) {matches} match landmarks."
         f" {len(shown.seen)} of these are inliers, which agree with the pose (green), and {len(shown.disagreeing)} are"
-        f" elsewhere (red crosses). Orange lines, {_LONGER} times too long, lead to where the pose predicts the inliers,"
-        f" {off:.1f} of {shown.image.shape[1]} pixels off in the median."
+        f" elsewhere (red crosses). Orange lines, {_LONGER} times too long, lead to where the pose predicts the"
+        f" inliers, {off:.1f} of {shown.image.shape[1]} pixels off in the median."
     )
     if shown.others:
         places = "Another place is verified, by" if len(shown.others) == 1 else "Other places are verified, by"

@@ -53,7 +53,7 @@ def table(
     head = f"<thead><tr>{''.join(cells)}</tr></thead>" if any(columns) else ""
     body = "".join(
         f'<tr{" class=ours" if number in ours else ""}><th scope="row">{escape(row[0])}</th>'
-        + "".join(f"<td{' class=pair' if '  ' in cell else ''}>{escape(cell)}</td>" for cell in row[1:])
+        + "".join(f"<td{' class=two' if '  ' in cell else ''}>{escape(cell)}</td>" for cell in row[1:])
         + "</tr>"
         for number, row in enumerate(rows)
     )
@@ -77,8 +77,8 @@ def plot(
 
     In traces the colour "ink" is that of text; the layout is without the colours of light and dark.
     """
-    kind = "plot three" if "yaxis3" in layout else "plot"
-    shown = f'<figure data-figure="{name}" aria-label="{escape(label)}"><div class="{kind}"></div>{_below(caption)}</figure>'
+    drawn = f'<div class="plot{" three" if "yaxis3" in layout else ""}"></div>'
+    shown = f'<figure data-figure="{name}" aria-label="{escape(label)}">{drawn}{_below(caption)}</figure>'
     return Block(shown, {name: {"traces": traces, "layout": layout}})
 
 
