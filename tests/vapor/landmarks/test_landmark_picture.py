@@ -44,6 +44,19 @@ def test_landmarks_are_shown_where_the_image_has_features(room, built, k1):
     assert (shown.others, shown.number) == ((15,), 7)
 
 
+def test_matches_that_are_elsewhere_than_the_pose_predicts_are_shown_apart(room, built):
+    """From a pose that is off, hardly any match is where it must be; from the true one most are."""
+    verifier, pose = LandmarkVerifier(Landmarks(built.landmarks), SHARP), walk(8, seed=5)[3]
+    image = room.view(pose)
+    (found, *_) = verifier.find(image, CAMERA, SOMEWHERE)
+    beside = replace(found, world_from_camera=found.world_from_camera @ Poses.exp(np.array([0.5, 0, 0, 0, 0, 0])))
+    right, wrong = (verifier.shown(image, CAMERA, [each]).disagreeing for each in (found, beside))
+    assert len(wrong) > found.inliers / 2
+    assert len(right) < len(wrong) / 2
+    features = {tuple(each) for each in verifier.shown(image, CAMERA, [found]).features.round(3).tolist()}
+    assert features >= {tuple(each) for each in wrong.round(3).tolist()}
+
+
 def test_an_image_of_another_camera_is_shown_as_the_map_s_camera_sees_it(room, built):
     verifier, pose = LandmarkVerifier(Landmarks(built.landmarks), SHARP), walk(8, seed=5)[3]
     zoomed = replace(CAMERA.scaled(480, 360), fx=480.0, fy=480.0)
@@ -58,6 +71,7 @@ def test_an_image_of_another_camera_is_shown_as_the_map_s_camera_sees_it(room, b
 def test_the_picture_marks_features_landmarks_and_where_they_must_be():
     image = np.full((100, 160, 3), 128, np.uint8)
     at = np.array([[40.0, 50.0], [80.0, 20.0]])
+    features = np.concatenate([at, [[120.0, 80.0], [20.0, 90.0]]])
     shown = ShownLandmarks(
         image, np.concatenate([at, [[120.0, 80.0]]]), np.zeros((0, 2)), at, at + np.array([2.0, 0.0]), (31,), 4
     )
@@ -71,9 +85,11 @@ def test_the_picture_marks_features_landmarks_and_where_they_must_be():
     for x, y in at.astype(int).tolist():  # five times as far as two pixels
         assert is_orange[y, x + 4 : x + 10].all()
         assert not is_orange[y, x + 12 :].any()
-    assert small[80, 120].min() > 150.0
+    assert small[90, 20].min() > 150.0
+    assert red[80, 120] > max(green[80, 120], blue[80, 120]) + 100.0
+    assert not (red > np.maximum(green, blue) + 100.0)[:70].any()
     said = landmark_caption(shown, 0.4)
-    assert said.startswith("Image 4, at 0.4 s: of 3 features (grey) 3 match landmarks. 2 of these")
+    assert said.startswith("Image 4, at 0.4 s: of 4 features (grey) 3 match landmarks. 2 of these")
     assert "2.0 of 160 pixels off in the median" in said
     assert said.endswith("Another place is verified, by 31 landmarks.")
 

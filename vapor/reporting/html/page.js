@@ -24,8 +24,10 @@ function themed(layout) {
     modebar: { bgcolor: "rgba(0,0,0,0)", color: style("--faint"), activecolor: style("--ink") },
     font: { family: "system-ui, sans-serif", size: 13, color: style("--ink") },
     hoverlabel: { bgcolor: style("--panel"), font: { color: style("--ink") }, bordercolor: style("--line") } };
-  if (narrow() && layout.legend && !layout.scene)
+  if (narrow() && layout.legend && !layout.scene) {
     out.legend = { ...layout.legend, y: -0.2, yanchor: "top", font: { size: 11 } };
+    out.margin = { ...layout.margin, t: 30 };  // for the button
+  }
   for (const name of Object.keys(layout)) if (/^[xy]axis\d*$/.test(name)) out[name] = { ...axis, ...layout[name] };
   if (layout.scene) {
     out.scene = { ...layout.scene };
@@ -128,7 +130,7 @@ function scene(element, data) {
     legend: { orientation: "h", x: 0, y: 0, yanchor: "top", font: { size: narrow() ? 11 : 12 } },
     scene: { aspectmode: "manual", aspectratio: data.ratio, uirevision: "kept",
       camera: camera(box, plot.clientWidth, plot.clientHeight - (narrow() ? 110 : 70)), ...Object.fromEntries(["x", "y", "z"].map((name, i) =>
-        [`${name}axis`, { title: { text: `${name} [m]` }, range: data.ranges[i], nticks: 6 }])) } });
+        [`${name}axis`, { title: { text: `${name} [m]` }, range: data.ranges[i], nticks: 8 }])) } });
 
   function show(index) {
     at = Math.max(0, Math.min(data.moments.length - 1, index));

@@ -19,7 +19,7 @@ from vapor.tracking.methods import METHODS
 
 _MOST_TIMES, _MOST_DOTS = 1500, 750  # of a curve over time, a thousand pixels wide, and of one without lines
 _LEAST = 1e-3  # of an error that is drawn: dead reckoning begins on the truth
-_LOG = {"type": "log", "tickformat": "~g", "nticks": 6}  # whole numbers at every tick, not the last digit alone
+_LOG = {"type": "log", "tickformat": "~g", "nticks": 4}  # whole numbers at every tick, not the last digit alone
 _MOST_IMAGES = 12
 _THINNEST = 0.1  # of the longest axis of the box
 _TALL = 0.8  # height of a box over the diagonal of its plan, from which on its view is higher than wide
