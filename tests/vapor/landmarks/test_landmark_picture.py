@@ -72,9 +72,7 @@ def test_the_picture_marks_features_landmarks_and_where_they_must_be():
     image = np.full((100, 160, 3), 128, np.uint8)
     at = np.array([[40.0, 50.0], [80.0, 20.0]])
     features = np.concatenate([at, [[120.0, 80.0], [20.0, 90.0]]])
-    shown = ShownLandmarks(
-        image, np.concatenate([at, [[120.0, 80.0]]]), np.zeros((0, 2)), at, at + np.array([2.0, 0.0]), (31,), 4
-    )
+    shown = ShownLandmarks(image, features, np.array([[120.0, 80.0]]), at, at + np.array([2.0, 0.0]), (31,), 4)
     picture = np.asarray(cv2.imdecode(np.frombuffer(landmark_picture(shown), np.uint8), cv2.IMREAD_COLOR)).astype(int)
     small = cv2.resize(picture.astype(np.float32), (160, 100), interpolation=cv2.INTER_AREA)
     blue, green, red = np.moveaxis(small, -1, 0)
