@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Annotated, Literal
 
 import pytest
@@ -68,5 +69,5 @@ def test_paragraphs_fill_the_lines(shown, columns):
     lines = shown.shown(columns).plain.splitlines()
     assert max(map(len, lines)) <= columns
     help_on_way = re.search(r"--way {up,down}\n((?:      .*\n)+)", shown.shown(columns).plain)[1].splitlines()
-    assert all(len(line) + 1 + len(after.split()[0]) > columns for line, after in zip(help_on_way, help_on_way[1:]))
+    assert all(len(line) + 1 + len(after.split()[0]) > columns for line, after in pairwise(help_on_way))
     assert "100 %." in shown.shown(columns).plain
