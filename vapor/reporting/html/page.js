@@ -69,7 +69,8 @@ function camera({ corners, path, up }, width, height) {
   const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
   const sum = (...terms) => [0, 1, 2].map(i => terms.reduce((total, [factor, vector]) => total + factor * vector[i], 0));
   const xyz = ([x, y, z]) => ({ x, y, z });
-  const tangent = Math.tan(Math.PI / 8), room = [0.86 * tangent * width / height, 0.84 * tangent];  // Plotly's view is 45° high
+  const tangent = Math.tan(Math.PI / 8);  // Plotly's view is 45° high
+  const room = [width, height].map(side => tangent * (side - 78) / height);  // beside the labels of the axes
   const level = up[0] ? [0, 1, 0] : [1, 0, 0], aside = cross(up, level);
   let best = null;
   for (let turn = 30; turn < 360; turn += 10) for (const rise of [20, 28, 36]) {
