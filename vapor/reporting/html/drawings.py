@@ -52,7 +52,7 @@ def plan(record: RunRecord, outline: Outline) -> Block:
     """The place from above under the path of the filter: one plan, or one of each storey that the path is on."""
     poses, storeys = record.methods["filter"].poses, record.storeys
     up = up_axis(poses) if storeys is None else np.array(storeys.up)
-    right = np.eye(3)[int(np.flatnonzero(up == 0.0)[0])]
+    right = np.eye(3)[int(np.argmin(np.abs(up)))]
     on_plan = np.stack([right, -np.cross(up, right)], axis=1)  # x to the right, y down
     points, path = outline.points @ on_plan, poses.translation @ on_plan
     true_path = np.empty((0, 3)) if record.truth is None else record.truth.poses.translation
