@@ -11,7 +11,8 @@ from vapor.evaluation.consistency import REGIONS
 MOST_STEPS = 4
 _LEAST_IMAGES = 50  # that a statement on the calibration needs
 _FEW, _FEW_VERIFIED = 0.5, 0.2  # of the images, converged and with landmarks, below which something is amiss
-_DOUBTFUL, _AMBIGUOUS = 0.05, 0.5  # of the smoothed poses
+_HARDLY = 0.05  # of the images, converged, below which it may be another place
+_AMBIGUOUS = 0.5  # of the smoothed poses
 _TOO_SURE = 0.2  # by which a region may hold less than stated
 _WRONG = 0.05  # of the converged images
 
@@ -30,9 +31,12 @@ _OF_NOTICES: tuple[tuple[str, str], ...] = (
     ),
     (r"^gravity is off the images", "Check how the inertial unit is mounted: its frame in tf, and its axes."),
     (r"wheels slip, or something moves", "Look at the wheels: where odometry is wrong, use --odometry both."),
-    (r"^\d+ of \d+ smoothed poses are doubtful", "Check the odometry there: vapor-track inspect, or --odometry both."),
 )
 """What a notice looks like -> what to do, the most urgent first."""
+_OF_CONVERGED = (
+    (r"^\d+ of \d+ smoothed poses are doubtful", "Check the odometry there: vapor-track inspect, or --odometry both."),
+)
+"""The same of a run that is mostly converged: elsewhere it is the place that is in doubt."""
 
 
 def next_steps(report: Mapping[str, Any], notices: Sequence[str]) -> tuple[list[tuple[str, str]], list[str]]:
@@ -43,7 +47,7 @@ def next_steps(report: Mapping[str, Any], notices: Sequence[str]) -> tuple[list[
         notices: On the run.
     """
     steps, others = [], list(notices)
-    for pattern, action in _OF_NOTICES:
+    for pattern, action in _OF_NOTICES + (_OF_CONVERGED if _converged(report) >= _FEW else ()):
         for notice in [each for each in others if re.search(pattern, each)]:
             others.remove(notice)
             steps.append((action, _sentence(notice)))
@@ -63,8 +67,11 @@ def _of_report(report: Mapping[str, Any]) -> list[tuple[str, str]]:
                 " the converged images are wrong: the stated errors are too small for this recording."
             )
             steps.append(("Calibrate with a recording of such conditions: vapor-track calibrate.", reason))
-    converged, lost = report["status"].get("converged", 0.0), report["status"].get("lost", 0.0)
-    if converged < _FEW and lost < _FEW:
+    converged, lost = _converged(report), report["status"].get("lost", 0.0)
+    if converged < _HARDLY and lost < _FEW:
+        reason = f"{100 * converged:.0f} % of the images are converged: hardly any says which place it is."
+        steps.append(("Check that the model is of this place, and that the walk shows something unique.", reason))
+    elif converged < _FEW and lost < _FEW:
         reason = (
             f"Only {100 * converged:.0f} % of the images are converged: from what they show, several places remain."
         )
@@ -79,6 +86,10 @@ def _of_report(report: Mapping[str, Any]) -> list[tuple[str, str]]:
         )
         steps.append(("Record this place again with sharp, well-lit images, and train with them.", reason))
     return steps
+
+
+def _converged(report: Mapping[str, Any]) -> float:
+    return report["status"].get("converged", 0.0)
 
 
 def _sentence(notice: str) -> str:

@@ -1,15 +1,19 @@
 """What a page says to do next: the cause that a run shows, with its action, and nothing where nothing is amiss."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from filtering.se3 import Poses
 from sequences.frame import Camera
 from sequences.reading.counts import ImageCounts
+from tests.helpers.simulated_run import simulated_record
 from vapor.cameras import AsTakenBy
 from vapor.pipeline.unrecognised import why_unrecognised
 from vapor.reporting.next_steps import MOST_STEPS, next_steps
-from vapor.reporting.report import camera_notices
+from vapor.reporting.report import camera_notices, doubtful_notice
+from vapor.tracking.hindsight import LookBack
 from vapor.training_data.ground import describe_unshown
 
 CAMERA = Camera(width=160, height=120, fx=120.0, fy=120.0, cx=79.5, cy=59.5)
@@ -97,10 +101,20 @@ def test_what_the_report_shows_has_its_action():
     assert actions(consistency={**wrong, "images": 9}) == []
     assert actions(consistency={"images": 0, "wrong": None, "coverage": None}) == []
     assert actions(status={"converged": 0.1, "ambiguous": 0.9})[0].startswith("Move on")
+    assert actions(status={"converged": 0.0, "ambiguous": 1.0})[0].startswith("Check that the model is of this place")
     assert actions(status={"converged": 0.1, "lost": 0.9}) == []  # which a notice explains
     assert actions(hindsight={"ambiguous": 80})[0].startswith("Compare smoothed.tum")
     assert actions(hindsight=None) == []
     assert actions(verified=0.1)[0].startswith("Record this place again")
+
+
+def test_odometry_is_suspected_only_where_the_place_is_known():
+    nowhere = LookBack({}, None, np.zeros(20, bool), np.zeros(20), np.zeros(20, bool))
+    doubtful = doubtful_notice(replace(simulated_record(20), look_back=nowhere))
+    assert actions(doubtful) == ["Check the odometry there: vapor-track inspect, or --odometry both."]
+    (step,), others = next_steps({**GOOD, "status": {"converged": 0.1, "ambiguous": 0.9}}, [doubtful])
+    assert step[0].startswith("Move on")
+    assert others == [doubtful]
 
 
 def test_steps_are_few_and_those_left_out_are_notices():
