@@ -63,8 +63,8 @@ class TrainConfig:
     most_epochs: int = 200
     """Greatest number of epochs, unless `epochs` is given."""
     larger_from_hours: float | None = None
-    """aspect camera, epochs None: from this number of `hours` on, the edges of images are 1.75 times as long as in
-    `network`; None for never."""
+    """With aspect camera and without `epochs`: from this number of `hours` on, the edges of images are 1.75 times as
+    long as in `network`."""
     finish: float = 0.2
     """After its evaluation the model goes on learning from all images, held-out ones too, for this fraction of the
     epochs; with 0 it never learns from held-out images."""
