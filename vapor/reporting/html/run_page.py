@@ -17,6 +17,7 @@ from vapor.reporting.record import RunRecord
 from vapor.reporting.report import method_table
 from vapor.tracking.methods import METHODS, in_order
 
+_NAMED = 2  # times at which the camera was carried off
 _LIMIT_M, _LIMIT_DEG = THRESHOLDS[RIGHT]
 _WITHIN = f"within {_LIMIT_M:g} m and {_LIMIT_DEG:g}° of the truth"
 
@@ -193,7 +194,9 @@ def _counts(report: Mapping[str, Any]) -> Block:
     if (hindsight := report["hindsight"]) is not None:
         rows.append(("smoothed poses of two possible places", str(hindsight["ambiguous"])))
         if carried_off := hindsight["carried_off_s"]:
-            rows.append(("carried off, in hindsight, after", ", ".join(f"{each:.1f} s" for each in carried_off)))
+            more = f", {len(carried_off) - _NAMED} more" if len(carried_off) > _NAMED else ""
+            named = ", ".join(f"{each:.1f} s" for each in carried_off[:_NAMED])
+            rows.append(("carried off, in hindsight, after", named + more))
     if report["peak_rss_mb"] is not None:
         rows.append(("peak memory", f"{report['peak_rss_mb']:.0f} MB"))
     return table(("", ""), rows, "Images, time and memory")
