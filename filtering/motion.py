@@ -331,7 +331,7 @@ class OdometryBias:
     scale: float = 0.02
     """Standard deviation of the scale error, as a fraction of the distance."""
     drift: tuple[float, float, float, float, float, float] | None = None
-    """Standard deviations of the drift, each axis of the camera: m/s, then rad/s. None: by `relative_drift`."""
+    """Standard deviations of the drift, each axis of the camera: m/s, then rad/s. Default: by `relative_drift`."""
     relative_drift: float = 1.0
     """Standard deviation of the drift over the square root of the rate at which the stated variance grows, each axis,
     1/√s: with 1.0 drift and white noise are equal after one second."""

@@ -32,22 +32,22 @@ class Options:
     model: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="MODEL")]
     """Model file, or name of a model that ships."""
     data: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="DATA ...")]
-    """MCAP files or data set folders that it was not trained on; PATH@START:STOP takes only those images."""
+    """MCAP files or data set folders that it was not trained on. PATH@100:200 takes only images 100 to 199."""
     output: OutputPath
     """Model file to write (.safetensors), new or an earlier model."""
     overwrite: Overwrite = False
     training: Annotated[tuple[str, ...], tyro.conf.arg(metavar="DATA ...")] = ()
-    """Data that it was trained on, or some of them: from these it learns what the place looks like, where it does not
-    know that (`train --no-calibrate`) or is to learn it again; without them, from half of the held-out data."""
+    """Data that it was trained on, or some of them, to learn again what the place looks like. Needed after
+    `train --no-calibrate`; without them half of the held-out data is used."""
     ood_only: bool = False
-    """Learn only what the place looks like, and leave the rest as it is."""
+    """Learn only what the place looks like (the OOD score), and leave the rest as it is."""
     same_conditions: bool = False
-    """The held-out data are of the hours, the light and the seasons of use. Mistakes about the place then count for as
-    long as they last there; else they are taken to last three times as long, as at another hour."""
+    """State that the held-out data have the light and the season of use. Otherwise mistakes about the place are taken
+    to last three times as long as in these data, as they do at another hour."""
     images: int = 500
     """Held-out images that are used, at most."""
     seed: int = 0
-    """Of latent noise."""
+    """Seed of latent noise."""
     device: Device = "auto"
     """Where the network runs."""
     reading: Annotated[SequenceOptions, tyro.conf.arg(name="")] = field(default_factory=SequenceOptions)

@@ -35,7 +35,7 @@ class Options:
     data: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DATA")]
     """MCAP file or data set folder with true poses."""
     output: OutputPath
-    """Picture to write (.png), new or one of vapor-track's."""
+    """Picture to write (.png), new or of an earlier call."""
     overwrite: Overwrite = False
     recording: bool = False
     """Write the posterior in space for the Rerun viewer as well, beside the picture, as .rrd."""
@@ -48,7 +48,7 @@ class Options:
     gamma: float = 0.1
     """Fraction of the samples that must be near the true pose for the posterior to count as right."""
     seed: int = 0
-    """Of the samples."""
+    """Seed of the samples."""
     device: Device = "auto"
     """Where the network runs."""
     network: Annotated[EngineConfig, tyro.conf.arg(name="")] = field(default_factory=EngineConfig)

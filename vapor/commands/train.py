@@ -30,7 +30,7 @@ from vapor.training.train import train
 from vapor.training_data.entries import files_read
 
 Preset = Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(PRESETS)}}}")]
-Method = Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(METHODS)}}}")]
+Method = Annotated[str | None, tyro.conf.arg(metavar=f"{{{','.join(METHODS)}}}")]
 
 _KNOWN: Mapping[str, Collection[str]] = {"preset": PRESETS, "method": METHODS}
 _Options = TypeVar("_Options")
@@ -74,19 +74,18 @@ class Options:
     """Train a pose regressor on sequences or data sets with true poses."""
 
     data: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="DATA ...")]
-    """MCAP files, data set folders or files that list a split; PATH@START:STOP takes only those images of it."""
+    """MCAP files, data set folders or files that list a split. PATH@100:200 takes only images 100 to 199 of it."""
     output: OutputPath
     """Model file to write (.safetensors), new or an earlier model."""
     overwrite: Overwrite = False
     validation: Annotated[tuple[str, ...], tyro.conf.arg(metavar="DATA ...")] = ()
-    """Held-out data, of other images; without it passes over ground that others cover are held out."""
+    """Held-out data, of other images. Default: passes over ground that other passes cover."""
     preset: Preset = "auto"
-    """Named settings, of which the options below change single ones. auto: what suits the data, in a quarter of an
-    hour; demo: the network of the models that ship; tables: small and fast, for the scenes of that name; paper-...: the
+    """Named settings; other options change single ones of them. auto: suits the data, and takes a quarter of an hour.
+    demo: the network of the models that ship. tables: small and fast, for the scenes of that name. paper-...: the
     paper's."""
-    method: Method | None = None
-    """The method: the variational regressor, one without its sampling or its KL divergence, or another one.
-    Default: the preset's method, retrieval for auto and variational for all others."""
+    method: Method = None
+    """The regressor and its loss. Default: the preset's: retrieval for auto, variational for all others."""
     config: Annotated[TrainConfig, tyro.conf.arg(name="")] = PRESETS["auto"]
     reading: Annotated[SequenceOptions, tyro.conf.arg(name="")] = field(default_factory=SequenceOptions)
 

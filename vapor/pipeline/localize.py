@@ -107,7 +107,6 @@ def localize(
     loop = StepLoop(localizer, start_baselines(settings, lambda: np.random.default_rng(config.seed)))
     steps: list[FilterStep] = []
     on_storeys: list[np.ndarray] = []
-    verified = 0
 
     def observations(frames: Iterable[Any]) -> Iterator[tuple[Any, Observation, float]]:
         before_ns: int | None = None
@@ -135,7 +134,6 @@ def localize(
                 with _about(frame, source):
                     step = loop.step(observation, observe_ms=observe_ms)
                 steps.append(FilterStep.of(observation, step.estimate))
-                verified += observation.posterior.has_verified
                 if storeys is not None:
                     on_storeys.append(storeys.belief(step.estimate))
                 outputs.add(frame, step)
@@ -152,7 +150,6 @@ def localize(
         record,
         storeys=storeys,
         storey_belief=None if storeys is None else np.stack(on_storeys),
-        num_verified=None if noise.verified is None else verified,
     )
 
 

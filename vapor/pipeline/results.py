@@ -74,6 +74,8 @@ def write_results(
     report = build_report(record)
     write_report(directory / "report.json", report)
     all_notices = (*notices, *camera_notices(report), *filter(None, [doubtful_notice(record)]))
-    page = run_page(record, report, title=title, settings=settings, notices=all_notices, command=command)
+    result = RunResult(record, report, all_notices)
+    on_page = [*filter(None, [result.few_images]), *all_notices]
+    page = run_page(record, report, title=title, settings=settings, notices=on_page, command=command)
     write_page(directory / "report.html", page)
-    return RunResult(record, report, all_notices)
+    return result

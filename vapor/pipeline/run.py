@@ -7,7 +7,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Int64, UInt8
 
 from filtering.errors import VaporTrackError
 from filtering.posterior import PosePosterior
@@ -34,6 +34,7 @@ from vapor.pipeline.model import LoadedModel, load_model
 from vapor.pipeline.results import RESULTS, RunResult, write_results
 from vapor.pipeline.unrecognised import MOST_IMAGES, SeenImage, are_unrecognised, why_unrecognised
 from vapor.pipeline.verticals import Verticals
+from vapor.reporting.outline import Outline
 from vapor.reporting.record import EvenlySpaced
 from vapor.reporting.rerun_place import Place
 from vapor.threads import limited_threads
@@ -152,7 +153,12 @@ def run_into(
             progress=progress,
             observed=seen,
         )
-        record = replace(record, landmarks=verified.middle(record.methods["filter"].poses))
+        record = replace(
+            record,
+            inliers=verified.inliers,
+            landmarks=verified.middle(record.methods["filter"].poses),
+            outline=Outline.of_model(observation.description),
+        )
         engine = {"device": observation.engine.device, "engine": observation.engine.name}
         settings = {
             "sequence": {
@@ -253,17 +259,22 @@ class VerifiedImages:
 
     def __init__(self, model: VaporObservationModel) -> None:
         self._model = model
-        self._number, self._verified = 0, 0
+        self._inliers: list[int] = []
         self._kept: EvenlySpaced[_VerifiedImage] = EvenlySpaced(_MOST_KEPT)
 
     def observe(self, image: np.ndarray, *, rng: np.random.Generator) -> PosePosterior:
         """See `VaporObservationModel.observe`."""
         posterior = self._model.observe(image, rng=rng)
-        if self._model.verifier is not None and (found := self._model.verifier.latest):
-            self._kept.add(lambda: (self._number, image.copy(), self._model.camera, found))
-            self._verified += 1
-        self._number += 1
+        found = [] if self._model.verifier is None else self._model.verifier.latest
+        if found:
+            self._kept.add(lambda: (len(self._inliers), image.copy(), self._model.camera, found))
+        self._inliers.append(found[0].inliers if found else 0)
         return posterior
+
+    @property
+    def inliers(self) -> Int64[np.ndarray, " n"] | None:
+        """Landmarks that agree with the best verified pose of each image, (n,); None without landmarks."""
+        return None if self._model.verifier is None else np.array(self._inliers, np.int64)
 
     def middle(self, poses: Poses) -> ShownLandmarks | None:
         """The landmarks in the middle one of the images kept; None where landmarks verified nothing.
@@ -273,7 +284,7 @@ class VerifiedImages:
         """
         if self._model.verifier is None or not self._kept.kept:
             return None
-        middle = 0.5 * (self._verified - 1)
+        middle = 0.5 * (np.count_nonzero(self._inliers) - 1)
         _, (number, image, camera, found) = min(self._kept.kept, key=lambda each: abs(each[0] - middle))
         metres, _ = Poses.stack([each.world_from_camera for each in found]).distance(poses[number])
         return self._model.verifier.shown(image, camera, found, which=int(np.argmin(metres)), number=number)

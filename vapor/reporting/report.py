@@ -16,8 +16,9 @@ from sequences.atomic import atomic_output
 from sequences.errors import SequenceError
 from sequences.files import read_json
 from vapor.evaluation.consistency import evaluate_consistency
+from vapor.evaluation.reliability import Reliability
 from vapor.evaluation.storeys import evaluate_storeys
-from vapor.evaluation.trajectory import TAIL_M, THRESHOLDS, associate, evaluate_methods
+from vapor.evaluation.trajectory import TAIL_M, THRESHOLDS, associate, evaluate_methods, is_right
 from vapor.reporting.record import RunRecord
 from vapor.tracking.hindsight import LookBack
 from vapor.tracking.methods import METHODS, in_order
@@ -36,9 +37,10 @@ def build_report(record: RunRecord) -> dict[str, Any]:
     Returns:
         `frames`, `frames_with_true_pose`, `skipped`, `images` (see `ImageCounts`), `duration_s`, `status` (fraction of
         the images by status), `smoothed_doubtful` (number of poses; null without a smoothed trajectory), `hindsight`
-        (see below; null without), `particles` (median), `step_ms`, `peak_rss_mb`, `verified` (fraction of the images,
-        with landmarks only) and `storeys` (see `evaluate_storeys`; null where there is one only). With true poses also
-        each method's metrics (see `evaluate_trajectory`) and `consistency` (see `evaluate_consistency`).
+        (see below; null without), `particles` (median), `step_ms`, `peak_rss_mb`, with landmarks `verified` (fraction
+        of the images) and `inliers` (median number of landmarks in these), and `storeys` (see `evaluate_storeys`; null
+        where there is one only). With true poses also each method's metrics (see `evaluate_trajectory`), `consistency`
+        (see `evaluate_consistency`), and `reliability` of the weight of the best mode (see `Reliability.as_json`).
 
         `hindsight`: `ambiguous` (number of smoothed poses), `second_probability` (of the second trajectory's end; 0
         where there is none), `carried_off_s` (when the camera was carried off, seconds since the first image), and with
@@ -73,8 +75,10 @@ def build_report(record: RunRecord) -> dict[str, Any]:
             for name in names
             for own in [np.flatnonzero([each == name for each in record.cameras])]
         }
-    if record.num_verified is not None:
-        report["verified"] = record.num_verified / len(record.times_ns)
+    if record.inliers is not None:
+        verified = record.inliers > 0
+        report["verified"] = float(verified.mean())
+        report["inliers"] = float(np.median(record.inliers[verified])) if verified.any() else None
     if record.storeys is not None and record.storey_belief is not None:
         report["storeys"] = evaluate_storeys(record.storeys, record.storey_belief, record.methods, record.truth)
     if record.truth is not None:
@@ -83,6 +87,9 @@ def build_report(record: RunRecord) -> dict[str, Any]:
         report["consistency"] = evaluate_consistency(
             record.methods["filter"], record.covariance, record.degrees_of_freedom, converged, record.truth
         )
+        with_truth, truth = associate(record.times_ns, record.truth)
+        right = is_right(record.methods["filter"].poses[with_truth], truth)
+        report["reliability"] = Reliability.of(record.best_weight[with_truth], right).as_json()
     if record.look_back is not None:
         report["hindsight"] = _hindsight(record, record.look_back)
     return _rounded(report)
@@ -164,8 +171,10 @@ def method_table(report: Mapping[str, Any], *, large_errors: bool = False) -> tu
 
     Without true poses there are no rows.
     """
-    thresholds = [f"worse than\n{TAIL_M[name]:g} m" for name in TAIL_M] if large_errors else [*THRESHOLDS]
-    thresholds = [name.replace("m/", " m\n").replace("deg", "°") for name in thresholds]
+    thresholds = (
+        [f"worse than\n{TAIL_M[name]:g}\N{NO-BREAK SPACE}m" for name in TAIL_M] if large_errors else [*THRESHOLDS]
+    )
+    thresholds = [name.replace("m/", "\N{NO-BREAK SPACE}m\n").replace("deg", "°") for name in thresholds]
     columns = ["", "median error", *thresholds, "right\nfrom"]
     digits = 1 if large_errors else 0
     rows: list[list[str]] = []
