@@ -18,6 +18,7 @@ from sequences.trajectories.pose_lines import require_columns
 from sequences.trajectories.pose_tables import times_beside
 
 OdometryUse = Literal["required", "auto", "optional", "ignored", "unread"]
+OdometryOrigin = Literal["recorded", "visual", "both"]
 TruePoseUse = Literal["required", "optional"]
 
 _MAX_DURATION_S = 1e9  # of a recording; NaN and infinity are none
@@ -54,6 +55,11 @@ class ReadingOptions:
     motion_noise: MotionNoise = field(default_factory=MotionNoise)
     """Noise of odometry whose messages carry no covariance (zeros, or -1 first), and of the axes that they state a
     variance of 10 or more for, a placeholder for unmeasured axes."""
+    imu_topic: str | None = None
+    """Topic of the inertial unit, sensor_msgs/Imu, whose gravity corrects the tilt; '' for none. Default: the one with
+    the most messages, where tf links it to the camera."""
+    pressure_topic: str | None = None
+    """Topic of a barometer, sensor_msgs/FluidPressure, which shows rides in lifts; '' for none."""
     stamps: Literal["header", "log"] = "header"
     """When messages are of: by the stamps in their headers or, where those are none, by the times they were logged."""
 
@@ -102,11 +108,6 @@ class SequenceOptions(ReadingOptions):
     """Frame whose poses the true poses are. Default: the one that the messages name, else the camera itself."""
     ground_truth_origin: tuple[float, float, float] | None = None
     """Point to subtract from the positions of true poses, x y z in metres: for coordinates far from zero, as of UTM."""
-    imu_topic: str | None = None
-    """Topic of the inertial unit, sensor_msgs/Imu, whose gravity corrects the tilt; '' for none. Default: the one with
-    the most messages, where tf links it to the camera."""
-    pressure_topic: str | None = None
-    """Topic of a barometer, sensor_msgs/FluidPressure, which shows rides in lifts; '' for none."""
     allow_few_images: bool = False
     """Localize also where fewer than one image in ten can be used."""
     start_s: float = 0.0

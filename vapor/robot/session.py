@@ -23,13 +23,16 @@ from filtering.errors import VaporTrackError
 from filtering.estimate import Estimate
 from filtering.localizer import ParticleLocalizer
 from filtering.posterior import PosePosterior
-from sequences.live.reader import open_live
+from sequences.live.frames import LiveFrames
+from sequences.live.reader import LiveReader, open_live
 from sequences.live.transport import Offer, Transport
 from sequences.options import ReadingOptions
 from sequences.recordings.message_definitions import decoder
 from sequences.recordings.messages import frame_name, stamp_ns
 from sequences.recordings.source import RawMessage
+from sequences.visual_odometry.odometry import VisualOdometry
 from vapor.pipeline.model import LoadedModel
+from vapor.pipeline.odometry import USES, require_one_source, visual_frames
 from vapor.pipeline.verticals import Verticals
 from vapor.reporting.rerun_place import Place
 from vapor.reporting.rerun_viewer import RerunViewer
@@ -67,6 +70,7 @@ class LiveSession:
         config: LiveConfig,
         notify: Callable[[str], None],
     ) -> None:
+        require_one_source(config.odometry, reading)
         self._model, self._transport, self._reading, self._config = model, transport, reading, config
         self._on_estimate: Callable[[LiveEstimate], None] = lambda _: None
         self._notify, self._has_begun = notify, False
@@ -188,34 +192,49 @@ class LiveSession:
                 return
 
     def _open(self) -> LiveBelief:
-        calibration, settings = self._model.observation.description.calibration, self._config.localizer
+        config, description = self._config, self._model.observation.description
+        calibration, settings = description.calibration, config.localizer
         reader = open_live(
             self._transport,
             self._events,
             self._reading,
             admit=self._admit,
             waiting=self._say_waiting,
-            late_window_s=settings.late_window_s,
-            usual_cameras=self._model.observation.description.cameras,
+            late_window_s=0.0 if config.odometry in ("visual", "both") else settings.late_window_s,
+            usual_cameras=description.cameras,
+            odometry=USES[config.odometry],
         )
-        fit = calibration.odometry if self._config.fitted_odometry else None
-        if fit is not None:
-            settings = replace(settings, odometry_bias=fit.odometry_bias)
         observation = self._model.observation.seen_by(reader.camera)
-        localizer = ParticleLocalizer(observation, settings, rng=np.random.default_rng(self._config.seed))
-        self._health.reader = reader
-        verticals = Verticals(observation.description, self._config.planar)
-        self._belief = LiveBelief(localizer, observation, reader, fit, self._config.lag, verticals)
-        roles = reader.roles
-        odometry = roles.odometry.name if roles.odometry is not None else f"tf from {roles.odometry_frame}"
-        infos = [camera.info.name for camera in roles.cameras if camera.info is not None]
-        self._notify(f"localizes by {', '.join([*roles.image_topics, *infos])} and {odometry}")
-        missing = [name for name in observation.description.cameras if name not in reader.lenses]
-        if missing and len(observation.description.cameras) > 1 and not self._reading.image_topics:
-            self._notify(f"without {', '.join(missing)}, which the model learned from, too: not there at the start")
-        for notice in [*self._model.observation.notices, *verticals.notices, *self._health.notices()]:
+        verticals = Verticals(observation.description, config.planar)
+        fit = calibration.odometry if config.fitted_odometry and reader.has_odometry else None
+        visual = visual_frames(reader, observation.description, config.odometry)
+        frames = LiveFrames(
+            reader, restated=None if fit is None else fit.restated, visual=visual, usual_up=verticals.usual_up
+        )
+        if visual is not None and not reader.has_odometry:
+            settings = replace(settings, odometry_bias=VisualOdometry.bias)
+        elif fit is not None:
+            settings = replace(settings, odometry_bias=fit.odometry_bias)
+        localizer = ParticleLocalizer(observation, settings, rng=np.random.default_rng(config.seed))
+        self._belief = self._health.belief = LiveBelief(localizer, observation, frames, config.lag, verticals)
+        self._say_what_is_used(reader, made=visual is not None)
+        for notice in [*self._model.observation.notices, *self._health.notices()]:
             self._notify(notice)
         return self._belief
+
+    def _say_what_is_used(self, reader: LiveReader, *, made: bool) -> None:
+        roles, usual = reader.roles, self._model.observation.description.cameras
+        published = roles.odometry.name if roles.odometry is not None else f"tf from {roles.odometry_frame}"
+        from_images = "odometry made from the images" if made else "no odometry"
+        odometry = f"{published}, and {from_images}" if made else published
+        odometry = odometry if reader.has_odometry else from_images
+        infos = [camera.info.name for camera in roles.cameras if camera.info is not None]
+        self._notify(f"localizes by {', '.join([*roles.image_topics, *infos, *reader.sensors.names])} and {odometry}")
+        if not reader.has_odometry:
+            self._notify("without published odometry there is no transform, and a pose of the base with images only")
+        missing = [name for name in usual if name not in reader.lenses]
+        if missing and len(usual) > 1 and not self._reading.image_topics:
+            self._notify(f"without {', '.join(missing)}, which the model learned from, too: not there at the start")
 
     # --- events -------------------------------------------------------------------------------------
 
@@ -228,8 +247,8 @@ class LiveSession:
                 self._publisher.send_motion(belief, self._network.job)
                 if time.monotonic() >= next_s:
                     ticks, next_s = ticks + 1, time.monotonic() + _TICK_S
-                    if ticks % _REFRESH_TICKS == 0:
-                        belief.reader.heard.refresh()
+                    if ticks % _REFRESH_TICKS == 0 and belief.reader.heard.refresh():
+                        belief.reader.sensors.look()
                     self._tick(belief)
 
     def _take_all(self, belief: LiveBelief, timeout_s: float) -> None:
@@ -300,8 +319,8 @@ class LiveSession:
 
     def _set_pose(self, message: Any) -> None:
         belief = self._belief
-        if belief is None or (time_ns := belief.reader.odometry_ns) is None:
-            raise VaporTrackError("no odometry yet, expected some before a pose is stated")
+        if belief is None or (time_ns := belief.reader.latest_ns) is None:
+            raise VaporTrackError("no odometry and no image yet, expected some before a pose is stated")
         frame = frame_name(message.header.frame_id)
         if frame != frame_name(self._config.map_frame):
             raise VaporTrackError(f"pose in {frame!r}, expected one in {self._config.map_frame!r}")
@@ -326,7 +345,8 @@ class LiveSession:
 
     def _submit(self, belief: LiveBelief) -> None:
         reader = belief.reader
-        if self._network.job is not None or (frame := reader.newest_frame()) is None:
+        belief.frames.advance()
+        if self._network.job is not None or (frame := belief.frames.newest()) is None:
             return
         arrived_ns = reader.arrived_ns(frame.time_ns)
         pose = reader.odom_from_base(frame.time_ns)

@@ -10,9 +10,9 @@ from filtering.observation import Observation
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from filtering.storeys import Storeys
-from sequences.inertial.barometer import LiftRides, height_of, read_rides, rides_in
-from sequences.inertial.samples import read_inertial
+from sequences.inertial.barometer import LiftRides, height_of, rides_in
 from sequences.inertial.sequence import InertialSequence
+from sequences.inertial.topics import read_inertial, read_rides
 from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
 from sequences.recordings.mcap_writer import ros_header

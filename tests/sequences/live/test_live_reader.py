@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from filtering.motion import Odometry
 from sequences.errors import NotFoundError, SequenceError
 from sequences.frame import Frame
-from sequences.live.reader import LiveReader, TopicBuffer
+from sequences.live.reader import LiveReader
+from sequences.live.topic_buffer import TopicBuffer
 from sequences.options import ReadingOptions, SequenceOptions
 from sequences.reader import SequenceReader
 from sequences.recordings.message_definitions import encoder
