@@ -41,7 +41,12 @@ class KnowingModel(VaporObservationModel):
         self.places, self.seconds, self.spread_m = places, seconds, spread_m
         calibration = SimpleNamespace(errors=MeasurementNoise(), odometry=None)
         self.description: Any = SimpleNamespace(
-            calibration=calibration, prior_poses=Poses.identity(3), memory_poses=None, cameras=()
+            calibration=calibration,
+            prior_poses=Poses.identity(3),
+            memory_poses=None,
+            cameras=(),
+            camera=None,
+            landmarks=None,
         )
         self.verifier = None
 
@@ -111,6 +116,24 @@ class Running:
 
     def wait_for(self, number: int) -> None:
         self.wait(lambda: len(self.estimates) >= number)
+
+
+def replayed(run: Running, walk: Path, *, images: int = 12, skip: tuple[str, ...] = ("/ground_truth/pose",)) -> None:
+    """Send a walk, and wait for each image to be localized, so that none is overtaken."""
+    sent = 0
+    run.wait_until_subscribed()
+    for raw in messages_of(walk):
+        if raw.topic in skip:
+            continue
+        if raw.topic == IMAGES:
+            if sent >= 1:
+                run.wait_for(sent)
+            if sent == images:
+                return
+            sent += 1
+        run.transport.say(raw)
+        time.sleep(0.003)
+    run.wait_for(sent)
 
 
 def knowing(model: KnowingModel) -> LoadedModel:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Protocol, runtime_checkable
 
 from filtering.errors import VaporTrackError
 from sequences.frame import Camera
@@ -11,7 +12,7 @@ from sequences.live.reader import LiveReader
 from sequences.options import OdometryUse, ReadingOptions
 from sequences.visual_odometry.frames import TRACKED_HZ, VisualFrames
 from sequences.visual_odometry.odometry import USUAL_DEPTH_M
-from vapor.checkpoints.checkpoint import ModelDescription
+from vapor.landmarks.verify import Landmarks
 from vapor.pipeline.config import OdometrySource
 
 USES: dict[OdometrySource, OdometryUse] = {
@@ -22,6 +23,21 @@ USES: dict[OdometrySource, OdometryUse] = {
     "none": "ignored",
 }
 """What becomes of odometry that is recorded or published."""
+
+
+@runtime_checkable
+class Seeing(Protocol):
+    """What is asked of a model: see `vapor.checkpoints.checkpoint.ModelDescription`."""
+
+    @property
+    def camera(self) -> Camera | None:
+        """Of its training images."""
+        ...
+
+    @property
+    def landmarks(self) -> Landmarks | None:
+        """Their points."""
+        ...
 
 
 def makes_odometry(source: OdometrySource, *, is_recorded: bool) -> bool:
@@ -36,7 +52,7 @@ def require_one_source(source: OdometrySource, reading: ReadingOptions) -> None:
 
 
 def camera_of_motion(
-    path: Path, camera: Camera | None, model: ModelDescription, source: OdometrySource
+    path: Path, camera: Camera | None, model: Seeing, source: OdometrySource
 ) -> Camera | None:
     """The camera of images without intrinsics of their own, to make odometry from; None where it is unknown.
 
@@ -58,13 +74,13 @@ def camera_of_motion(
     return camera
 
 
-def usual_depth_m(model: ModelDescription) -> float:
+def usual_depth_m(model: Seeing) -> float:
     """How far away the scene usually is, by the landmarks of a model, metres."""
     return USUAL_DEPTH_M if model.landmarks is None else model.landmarks.map.depth_m
 
 
 def visual_frames(
-    reader: LiveReader, model: ModelDescription, source: OdometrySource
+    reader: LiveReader, model: Seeing, source: OdometrySource
 ) -> Callable[[], VisualFrames] | None:
     """What begins to make odometry from the images of a running system; None where it is not made.
 
