@@ -83,6 +83,7 @@ class LiveReader:
         for topic in heard.topics.values():
             if topic.read_as in _HEARD_EARLY:
                 heard.hear(topic.name)
+        LiveSensors.hear(heard, options)
         for name in options.image_topics or usual:
             if name in heard.topics and heard.topics[name].read_as in IMAGE_TYPES:
                 heard.hear(name)

@@ -22,6 +22,7 @@ from sequences.recordings.source import RawMessage, decode
 
 _KEPT_NS, _PRESSURE_NS = 30 * 10**9, 120 * 10**9  # samples of a unit, and pressures, that are remembered
 _SILENT_S = 5.0
+_LOOKS = 3  # at topics that are there and say nothing yet, or are not linked by tf yet
 
 
 class LiveSensors:
@@ -51,8 +52,8 @@ class LiveSensors:
         self._clocks: dict[str, ClockOfStream] = {}
         self._came_s: dict[str, float] = {}
         self._said: dict[str, None] = {}
-        self._num_looks = 0
-        self.look()
+        self._looks_left = _LOOKS
+        self._look(is_first=True)
 
     def begin(self, *, usual_up: Up | None, has_metres: bool) -> None:
         """Before the first frame.
@@ -65,20 +66,30 @@ class LiveSensors:
         if not has_metres:
             self.barometer, self._options = None, replace(self._options, pressure_topic="")
 
-    def look(self) -> None:
-        """Look for the sensors that are not there yet; raises as the constructor."""
-        options, heard = self._options, self._heard
-        for wanted, of_type in ((options.imu_topic, IMU_TYPE), (options.pressure_topic, PRESSURE_TYPE)):
-            for topic in list(heard.topics.values()) if wanted != "" else ():
-                if topic.read_as == of_type and wanted in (None, topic.name):
+    @staticmethod
+    def hear(heard: TopicBuffer, options: ReadingOptions) -> None:
+        """Subscribe what may be a sensor, so that the first messages are there when they are looked for."""
+        for named, of_type in ((options.imu_topic, IMU_TYPE), (options.pressure_topic, PRESSURE_TYPE)):
+            for topic in list(heard.topics.values()):
+                if topic.read_as == of_type and named in (None, topic.name):
                     heard.hear(topic.name)
+
+    def look_again(self, *, changed: bool) -> None:
+        """Look for sensors that are not there yet, a few times after the topics have `changed`."""
+        self._looks_left = _LOOKS if changed else self._looks_left
+        if self._looks_left > 0:
+            self._looks_left -= 1
+            self._look()
+
+    def _look(self, *, is_first: bool = False) -> None:
+        options, heard = self._options, self._heard
+        self.hear(heard, options)
         if self.unit is None:
             self.unit, said = find_inertial(heard, options, self._camera_frame, self._camera_is)
             # A first message, or transform, may be about to come.
-            self._said |= dict.fromkeys(said if self.unit is not None or self._num_looks else [])
+            self._said |= dict.fromkeys([] if self.unit is None and is_first else said)
         if self.barometer is None:
             self.barometer = find_barometer(heard, options)
-        self._num_looks += 1
 
     @property
     def names(self) -> list[str]:

@@ -2,16 +2,19 @@
 
 import queue
 import struct
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 
 from sequences.errors import NotFoundError
 from sequences.frame import Frame
+from sequences.live.frames import LiveFrames
 from sequences.live.reader import LiveReader
 from sequences.live.topic_buffer import TopicBuffer
-from sequences.options import ReadingOptions
+from sequences.options import OdometryUse, ReadingOptions
 from sequences.recordings.source import RawMessage
 from tests.helpers import tf_files
 from tests.helpers.fake_transport import FakeTransport, offering
@@ -24,9 +27,18 @@ class Robot:
     """A running system, and who reads it: opens it as soon as everything is there, and asks for the frames."""
 
     def __init__(
-        self, transport: FakeTransport, options: ReadingOptions | None = None, *, late_window_s: float = 0.0
+        self,
+        transport: FakeTransport,
+        options: ReadingOptions | None = None,
+        *,
+        late_window_s: float = 0.0,
+        odometry: OdometryUse = "required",
+        made: Callable[[LiveReader], LiveFrames] | None = None,
     ) -> None:
+        """Of a system; frames are those of the reader, or those that are `made` of them."""
         self.transport, self.options, self.late_window_s = transport, options or ReadingOptions(), late_window_s
+        self.odometry, self._made = odometry, made
+        self.maker: Any = None
         self.events: queue.SimpleQueue[RawMessage] = queue.SimpleQueue()
         self.heard = TopicBuffer(transport, self.events, options=self.options)
         self.opened: LiveReader | None = None
@@ -43,10 +55,11 @@ class Robot:
         if self.opened is not None:
             return
         try:
-            self.opened = LiveReader(self.heard, self.options, late_window_s=self.late_window_s)
+            self.opened = LiveReader(self.heard, self.options, late_window_s=self.late_window_s, odometry=self.odometry)
         except NotFoundError as error:
             self.wanting.append(str(error))
             return
+        self.maker = None if self._made is None else self._made(self.opened)
         for raw in self.heard.kept():
             self._take(raw, ask=True)
 
@@ -65,7 +78,9 @@ class Robot:
 
     def _take(self, raw: RawMessage, *, ask: bool) -> None:
         self.reader.take(raw)
-        frame = self.reader.newest_frame() if ask else None
+        if self.maker is not None:
+            self.maker.advance()
+        frame = (self.maker or SimpleNamespace(newest=self.reader.newest_frame)).newest() if ask else None
         if frame is not None:
             self.frames.append((self.reader.readings, frame))
 

@@ -51,9 +51,7 @@ def require_one_source(source: OdometrySource, reading: ReadingOptions) -> None:
         raise VaporTrackError(f"--odometry {source} beside --odometry-topic or --odometry-frame, expected one of them")
 
 
-def camera_of_motion(
-    path: Path, camera: Camera | None, model: Seeing, source: OdometrySource
-) -> Camera | None:
+def camera_of_motion(path: Path, camera: Camera | None, model: Seeing, source: OdometrySource) -> Camera | None:
     """The camera of images without intrinsics of their own, to make odometry from; None where it is unknown.
 
     Args:
@@ -79,9 +77,7 @@ def usual_depth_m(model: Seeing) -> float:
     return USUAL_DEPTH_M if model.landmarks is None else model.landmarks.map.depth_m
 
 
-def visual_frames(
-    reader: LiveReader, model: Seeing, source: OdometrySource
-) -> Callable[[], VisualFrames] | None:
+def visual_frames(reader: LiveReader, model: Seeing, source: OdometrySource) -> Callable[[], VisualFrames] | None:
     """What begins to make odometry from the images of a running system; None where it is not made.
 
     Raises:

@@ -247,8 +247,8 @@ class LiveSession:
                 self._publisher.send_motion(belief, self._network.job)
                 if time.monotonic() >= next_s:
                     ticks, next_s = ticks + 1, time.monotonic() + _TICK_S
-                    if ticks % _REFRESH_TICKS == 0 and belief.reader.heard.refresh():
-                        belief.reader.sensors.look()
+                    if ticks % _REFRESH_TICKS == 0:
+                        belief.reader.sensors.look_again(changed=belief.reader.heard.refresh())
                     self._tick(belief)
 
     def _take_all(self, belief: LiveBelief, timeout_s: float) -> None:

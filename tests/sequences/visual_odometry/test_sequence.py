@@ -11,9 +11,8 @@ from filtering.se3 import Poses
 from sequences.frame import Camera, Frame
 from sequences.reading.counts import BETWEEN, ImageCounts
 from sequences.visual_odometry.sequence import VisualSequence
-from tests.helpers.boards import CAMERA
+from tests.helpers.boards import CAMERA, STEP_NS, images_of, walk
 from tests.helpers.simulation import motion
-from tests.sequences.visual_odometry.test_visual_odometry import STEP_NS, images_of, walk
 
 IMAGES = images_of(walk("sideways", 30))
 
