@@ -144,15 +144,17 @@ def knowing(model: KnowingModel) -> LoadedModel:
 def running(
     walk: Path,
     *,
-    model: KnowingModel | None = None,
+    model: KnowingModel | LoadedModel | None = None,
+    reading: ReadingOptions | None = None,
+    without: tuple[str, ...] = (),
     on_estimate: Any = None,
     **settings: Any,
 ) -> Iterator[Running]:
-    """A session in a system that offers the topics of a walk."""
-    transport = offering(messages_of(walk))
-    loaded = knowing(model or KnowingModel())
+    """A session in a system that offers the topics of a walk, but for some."""
+    transport = offering([raw for raw in messages_of(walk) if raw.topic not in without])
+    loaded = model if isinstance(model, LoadedModel) else knowing(model or KnowingModel())
     told: list[str] = []
-    localization = LiveSession(loaded, transport, ReadingOptions(), LiveConfig(**settings), told.append)
+    localization = LiveSession(loaded, transport, reading or ReadingOptions(), LiveConfig(**settings), told.append)
     estimates: list[LiveEstimate] = []
     run = Running(transport, localization, estimates, told)
 
@@ -174,11 +176,13 @@ def running(
 
 def hurry(patch: pytest.MonkeyPatch) -> None:
     """Shorten waits of seconds to a tenth."""
-    from sequences.live import reader
+    from sequences.live import reader, sensors
 
     patch.setattr(reader, "_SETTLED_S", 0.03)
     patch.setattr(reader, "_ASK_AGAIN_S", 0.01)
     patch.setattr(reader, "_REPORT_AGAIN_S", 0.1)
+    patch.setattr(reader, "_WITHOUT_ODOMETRY_S", 0.5)
+    patch.setattr(sensors, "_SILENT_S", 0.5)
     patch.setattr(session, "_TICK_S", 0.05)
     patch.setattr(health, "_SILENT_S", 0.2)
     patch.setattr(health, "_ODOMETRY_SILENT_S", 0.1)
