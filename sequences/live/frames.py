@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+from filtering.errors import VaporTrackError
 from filtering.motion import Odometry, joined
 from sequences.frame import Frame, Gravity
 from sequences.inertial.motion_sensors import Up
@@ -44,11 +45,18 @@ class LiveFrames:
         self.reader, self._restated, self._begin_visual = reader, restated, visual
         self.gravity: Gravity | None = None
         self._visual: VisualFrames | None = None
-        self._reading = 0
+        self._reading, self._said = 0, dict[str, None]()
         self._tracked: list[Frame] = []  # in order, each with its motion since the one before
         self._before_ns: int | None = None  # stamp of the frame before these
         self._last_ns: dict[str, int] = {}  # stamp of the latest frame of each camera
+        if visual is not None:
+            reader.take_in_order()
         reader.sensors.begin(usual_up=usual_up, has_metres=reader.has_odometry)
+
+    @property
+    def makes_odometry(self) -> bool:
+        """Whether images show the motion."""
+        return self._begin_visual is not None
 
     def advance(self) -> None:
         """Take the images that have come, where they show the motion; to be called often."""
@@ -59,10 +67,13 @@ class LiveFrames:
                 self.reader.give_up("clock was set")
             self._visual, self._reading = self._begin_visual(), self.reader.readings
             self._tracked, self._before_ns = [], None
-        visual = self._visual
         for frame in self.reader.ready_frames():
-            between = visual.num_between
-            self._tracked += visual.take(replace(frame, odometry=self._stated(frame.odometry)))
+            visual, between = self._visual, self._visual.num_between
+            try:
+                self._tracked += visual.take(replace(frame, odometry=self._stated(frame.odometry)))
+            except VaporTrackError as error:  # the next image begins anew
+                self._visual, self._said = self._begin_visual(), {f"images do not show the motion: {error}": None}
+                self.reader.give_up("unusable for visual odometry")
             for _ in range(visual.num_between - between):
                 self.reader.give_up(BETWEEN)
         while len(self._tracked) > _MOST_WAITING * len(self.reader.lenses):
@@ -99,8 +110,8 @@ class LiveFrames:
 
     @property
     def notices(self) -> list[str]:
-        """A sentence for users where recorded and visual odometry disagree."""
-        return [] if self._visual is None else self._visual.disagreement
+        """Sentences for users, by the images so far."""
+        return [*self._said, *([] if self._visual is None else self._visual.disagreement)]
 
     def _seen(self, frame: Frame, before_ns: int | None) -> Frame:
         frame = self.reader.sensors.seen(frame, before_ns)

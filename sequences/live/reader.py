@@ -230,6 +230,10 @@ class LiveReader:
         self._forget_arrivals()
         return self._pairing.newest_frame()
 
+    def take_in_order(self) -> None:
+        """Take no image from now on that is older than the latest frame."""
+        self._late_ns = self._pairing.late_ns = 0
+
     def ready_frames(self) -> Iterator[Frame]:
         """All images that odometry has reached and that were not returned before, in order of time."""
         self._forget_arrivals()

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import time
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from sequences.errors import SequenceError
 from sequences.frame import Frame, Gravity
 from sequences.inertial.barometer import Barometer
 from sequences.inertial.motion_sensors import MotionSensors, Up
@@ -72,7 +74,8 @@ class LiveSensors:
         for named, of_type in ((options.imu_topic, IMU_TYPE), (options.pressure_topic, PRESSURE_TYPE)):
             for topic in list(heard.topics.values()):
                 if topic.read_as == of_type and named in (None, topic.name):
-                    heard.hear(topic.name)
+                    with suppress(SequenceError):  # of several types: no sensor
+                        heard.hear(topic.name)
 
     def look_again(self, *, changed: bool) -> None:
         """Look for sensors that are not there yet, a few times after the topics have `changed`."""

@@ -74,6 +74,7 @@ class FramePairing:
         reaches: Whether odometry and true poses have come as far as a stamp; `MotionStreams` reads on first.
         frames_span_ns: Stamps of the first and the last frame; None before any.
         used: How many images of each camera became frames.
+        late_ns: By how much an image that becomes a frame may be older than the latest one.
     """
 
     def __init__(
@@ -98,9 +99,9 @@ class FramePairing:
             most_waiting: Images held, still encoded, until odometry and true poses reach them.
             lateness_ns: Images are held until one so much later has come, to order them by their stamps.
             over_gaps: Whether odometry leads over times without messages.
-            late_ns: An image that is older than the latest frame, by at most so much, still becomes a frame.
+            late_ns: See the attribute.
         """
-        self._most_waiting, self._lateness_ns, self._late_ns = most_waiting, lateness_ns, late_ns
+        self._most_waiting, self._lateness_ns, self.late_ns = most_waiting, lateness_ns, late_ns
         self.skipped = SkipCounter(num_images)
         self.segment = RequestedSegment(begin_ns, roles.options.start_s, roles.options.duration_s)
         self.motion = MotionOfCamera(roles, self.skipped, over_gaps=over_gaps)
@@ -228,7 +229,7 @@ class FramePairing:
         """Stamp from which on an image becomes a frame."""
         if not self._frames:
             return -(1 << 63)
-        return max(self._frames[0].taken_ns, self._frames[-1].taken_ns - self._late_ns)
+        return max(self._frames[0].taken_ns, self._frames[-1].taken_ns - self.late_ns)
 
     def drop_overtaken(self) -> None:
         """Skip the oldest of the images that wait where there are too many: newer ones are asked for, but not yet."""
@@ -304,7 +305,7 @@ class FramePairing:
         truth = self.motion.true_pose(taken_ns)
         self._frames.insert(at, _FrameTime(time_ns, taken_ns, covered, name))
         self._last_ns[name] = max(taken_ns, self._last_ns.get(name, taken_ns))
-        followed = bisect_left(self._frames, self._frames[-1].taken_ns - self._late_ns, key=_taken_ns) - 1
+        followed = bisect_left(self._frames, self._frames[-1].taken_ns - self.late_ns, key=_taken_ns) - 1
         del self._frames[: max(followed, 0)]
         self.motion.forget_before(self._frames[0].taken_ns)
         self.frames_span_ns = (self.frames_span_ns[0] if self.frames_span_ns else taken_ns, self._frames[-1].taken_ns)

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from filtering.errors import VaporTrackError
 from sequences.frame import Camera
-from sequences.live.reader import LiveReader
 from sequences.options import OdometryUse, ReadingOptions
-from sequences.visual_odometry.frames import TRACKED_HZ, VisualFrames
 from sequences.visual_odometry.odometry import USUAL_DEPTH_M
 from vapor.landmarks.verify import Landmarks
 from vapor.pipeline.config import OdometrySource
@@ -75,18 +72,3 @@ def camera_of_motion(path: Path, camera: Camera | None, model: Seeing, source: O
 def usual_depth_m(model: Seeing) -> float:
     """How far away the scene usually is, by the landmarks of a model, metres."""
     return USUAL_DEPTH_M if model.landmarks is None else model.landmarks.map.depth_m
-
-
-def visual_frames(reader: LiveReader, model: Seeing, source: OdometrySource) -> Callable[[], VisualFrames] | None:
-    """What begins to make odometry from the images of a running system; None where it is not made.
-
-    Raises:
-        VaporTrackError: as `camera_of_motion`.
-    """
-    if not makes_odometry(source, is_recorded=reader.has_odometry):
-        return None
-    camera = camera_of_motion(reader.path, reader.camera, model, source)
-    if camera is None:
-        return None
-    depth_m = usual_depth_m(model)
-    return lambda: VisualFrames(camera, beside=source == "both", most_hz=TRACKED_HZ, usual_depth_m=depth_m)

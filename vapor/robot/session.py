@@ -12,34 +12,27 @@ import time
 from collections import deque
 from collections.abc import AsyncIterator, Callable
 from contextlib import ExitStack
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from filtering.errors import VaporTrackError
 from filtering.estimate import Estimate
-from filtering.localizer import ParticleLocalizer
 from filtering.posterior import PosePosterior
-from sequences.live.frames import LiveFrames
-from sequences.live.reader import LiveReader, open_live
 from sequences.live.transport import Offer, Transport
 from sequences.options import ReadingOptions
 from sequences.recordings.message_definitions import decoder
 from sequences.recordings.messages import frame_name, stamp_ns
 from sequences.recordings.source import RawMessage
-from sequences.visual_odometry.odometry import VisualOdometry
 from vapor.pipeline.model import LoadedModel
-from vapor.pipeline.odometry import USES, require_one_source, visual_frames
-from vapor.pipeline.verticals import Verticals
+from vapor.pipeline.odometry import require_one_source
 from vapor.reporting.rerun_place import Place
 from vapor.reporting.rerun_viewer import RerunViewer
 from vapor.robot.belief import LiveBelief, LiveEstimate
 from vapor.robot.config import LiveConfig
 from vapor.robot.health import Health
 from vapor.robot.network import Job, Network, Observed
+from vapor.robot.opening import open_belief, what_is_used
 from vapor.robot.publisher import Publisher, camera_of_initial_pose
 from vapor.robot.recorder import MessageRecorder, write_snapshot
 from vapor.robot.viewers import FoxgloveServer, WatchingViewer
@@ -192,49 +185,20 @@ class LiveSession:
                 return
 
     def _open(self) -> LiveBelief:
-        config, description = self._config, self._model.observation.description
-        calibration, settings = description.calibration, config.localizer
-        reader = open_live(
-            self._transport,
-            self._events,
+        belief = open_belief(
+            self._model,
+            self._config,
             self._reading,
+            transport=self._transport,
+            events=self._events,
             admit=self._admit,
             waiting=self._say_waiting,
-            late_window_s=0.0 if config.odometry in ("visual", "both") else settings.late_window_s,
-            usual_cameras=description.cameras,
-            odometry=USES[config.odometry],
         )
-        observation = self._model.observation.seen_by(reader.camera)
-        verticals = Verticals(observation.description, config.planar)
-        fit = calibration.odometry if config.fitted_odometry and reader.has_odometry else None
-        visual = visual_frames(reader, observation.description, config.odometry)
-        frames = LiveFrames(
-            reader, restated=None if fit is None else fit.restated, visual=visual, usual_up=verticals.usual_up
-        )
-        if visual is not None and not reader.has_odometry:
-            settings = replace(settings, odometry_bias=VisualOdometry.bias)
-        elif fit is not None:
-            settings = replace(settings, odometry_bias=fit.odometry_bias)
-        localizer = ParticleLocalizer(observation, settings, rng=np.random.default_rng(config.seed))
-        self._belief = self._health.belief = LiveBelief(localizer, observation, frames, config.lag, verticals)
-        self._say_what_is_used(reader, made=visual is not None)
-        for notice in [*self._model.observation.notices, *self._health.notices()]:
-            self._notify(notice)
-        return self._belief
-
-    def _say_what_is_used(self, reader: LiveReader, *, made: bool) -> None:
-        roles, usual = reader.roles, self._model.observation.description.cameras
-        published = roles.odometry.name if roles.odometry is not None else f"tf from {roles.odometry_frame}"
-        from_images = "odometry made from the images" if made else "no odometry"
-        odometry = f"{published}, and {from_images}" if made else published
-        odometry = odometry if reader.has_odometry else from_images
-        infos = [camera.info.name for camera in roles.cameras if camera.info is not None]
-        self._notify(f"localizes by {', '.join([*roles.image_topics, *infos, *reader.sensors.names])} and {odometry}")
-        if not reader.has_odometry:
-            self._notify("without published odometry there is no transform, and a pose of the base with images only")
-        missing = [name for name in usual if name not in reader.lenses]
-        if missing and len(usual) > 1 and not self._reading.image_topics:
-            self._notify(f"without {', '.join(missing)}, which the model learned from, too: not there at the start")
+        self._belief = self._health.belief = belief
+        used = what_is_used(belief, self._model.observation.description.cameras, self._reading)
+        for line in [*used, *self._model.observation.notices, *self._health.notices()]:
+            self._notify(line)
+        return belief
 
     # --- events -------------------------------------------------------------------------------------
 

@@ -134,6 +134,18 @@ def test_beside_published_odometry_both_make_the_motion(tmp_path: Path) -> None:
     assert robot.maker.moved_until(time_ns).duration_s <= 2 * STEP_NS * 1e-9
 
 
+def test_an_image_that_comes_late_is_left_out_as_features_are_tracked_in_order(walked: Path) -> None:
+    raws = messages_of(walked)
+    image = next(raw for raw in raws if "Image" in raw.type and at_ms(raw) > 500)
+    robot = Robot(offering(raws), odometry="ignored", made=seen, late_window_s=0.5)
+    robot.live_through([raw for raw in raws if raw is not image and at_ms(raw) < 700])
+    robot.live_through([image])
+    robot.live_through([raw for raw in raws if at_ms(raw) > 700])
+    assert [frame.time_ns for _, frame in robot.frames] == sorted({frame.time_ns for _, frame in robot.frames})
+    assert robot.reader.counts.skipped["time stamp not increasing"] == 1
+    assert robot.reader.counts.are_complete
+
+
 class Given:
     """A reader of frames at hand."""
 
@@ -146,6 +158,9 @@ class Given:
     def ready_frames(self) -> list[Frame]:
         ready, self.frames = self.frames, []
         return ready
+
+    def take_in_order(self) -> None:
+        pass
 
     def give_up(self, reason: str) -> None:
         self.given_up.append(reason)
