@@ -19,18 +19,15 @@ class MotionSensors:
     """What an inertial unit and a barometer say of frames, as far as their samples have come.
 
     Attributes:
+        usual_up: Up about the axes of the camera where no gravity is known, as of a robot; None where it varies.
         gyroscope: Its turns.
         lifts: Rides of a camera that stands still by its odometry.
         num_frames, num_without: Numbers of frames, and of those without gravity beside a unit.
     """
 
     def __init__(self, *, usual_up: Up | None = None) -> None:
-        """Before the first sample.
-
-        Args:
-            usual_up: Up about the axes of the camera where no gravity is known, as of a robot; None where it varies.
-        """
-        self._usual_up, self._gravity = usual_up, GravityFilter()
+        """Before the first sample."""
+        self.usual_up, self._gravity = usual_up, GravityFilter()
         self.gyroscope, self.lifts = GyroscopeFusion(), LiftRides()
         self._has_unit = False
         self.num_frames = self.num_without = 0
@@ -78,7 +75,7 @@ class MotionSensors:
             odometry: By wheels or images; None where that is unknown.
             gravity: At the end.
         """
-        up = self._usual_up if gravity is None else gravity.up
+        up = self.usual_up if gravity is None else gravity.up
         return self.gyroscope.step(begin_ns, end_ns, self.lifts.step(begin_ns, end_ns, odometry, up))
 
     @property

@@ -23,6 +23,7 @@ from sequences.recordings.messages import stamp_ns
 from sequences.recordings.source import RawMessage, decode
 
 _KEPT_NS, _PRESSURE_NS = 30 * 10**9, 120 * 10**9  # samples of a unit, and pressures, that are remembered
+_MOST_NEW = 500  # messages
 _SILENT_S = 5.0
 _LOOKS = 3  # at topics that are there and say nothing yet, or are not linked by tf yet
 
@@ -54,7 +55,7 @@ class LiveSensors:
         self._clocks: dict[str, ClockOfStream] = {}
         self._came_s: dict[str, float] = {}
         self._said: dict[str, None] = {}
-        self._looks_left = _LOOKS
+        self._looks_left, self._num_new = _LOOKS, 0
         self._look(is_first=True)
 
     def begin(self, *, usual_up: Up | None, has_metres: bool) -> None:
@@ -64,7 +65,7 @@ class LiveSensors:
             usual_up: See `MotionSensors`.
             has_metres: Whether odometry is in metres, to which heights can be added.
         """
-        self.motion = MotionSensors(usual_up=usual_up)
+        self.motion.usual_up = usual_up
         if not has_metres:
             self.barometer, self._options = None, replace(self._options, pressure_topic="")
 
@@ -112,6 +113,9 @@ class LiveSensors:
                 self._begin_anew(raw.topic)
             time_ns = None if kind == "odd" else time_ns
         self._take(raw.topic, time_ns, message)
+        self._num_new += 1
+        if self._num_new >= _MOST_NEW:  # no image asks for them
+            self._follow()
 
     def _take(self, topic: str, time_ns: int | None, message: Any) -> None:
         if self.unit is not None and topic == self.unit.name:
@@ -133,6 +137,7 @@ class LiveSensors:
 
     def _follow(self) -> None:
         """Give the samples that have come to what uses them, and forget old ones."""
+        self._num_new = 0
         if self.unit is not None and (samples := self.unit.samples()) is not None:
             self.motion.extend(samples)
             self.motion.forget_before(int(samples.times_ns[-1]) - _KEPT_NS)

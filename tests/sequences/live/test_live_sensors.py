@@ -191,12 +191,10 @@ def test_units_in_g_are_converted_with_a_notice(walk: Path, tmp_path: Path) -> N
 def test_what_is_remembered_is_bounded(walk: Path, said: list[RawMessage]) -> None:
     robot = sensing(said)
     sensors, first = robot.reader.sensors, next(raw for raw in said if raw.topic == IMU)
-    for number in range(10_000):  # 100 s
+    for number in range(10_000):  # 100 s, without an image
         time_ns = BEGIN_NS + 4 * SECOND + 10 * MS * number
         sensors.take(stamped(first, time_ns)._replace(log_time_ns=time_ns))
-        if number % 10 == 0:
-            sensors._follow()
-    assert len(sensors.motion.gyroscope._rates) < 3100
-    assert len(sensors.motion._gravity._found) < 3100
+    assert len(sensors.motion.gyroscope._rates) < 3600
+    assert len(sensors.motion._gravity._found) < 3600
     assert sensors.unit is not None
-    assert len(sensors.unit._raw) < 1100
+    assert len(sensors.unit._raw) < 1600
