@@ -63,8 +63,10 @@ class LiveEstimate:
     Attributes:
         frame: The newest image, its stamp, and the odometry since the image before; the same again after a late image.
         estimate: The filter's estimate.
-        map_from_base: Pose of the odometry's child frame at the time of the image, by the best mode, one pose.
-        map_from_odom: Transform from the map to the odometry's frame, one pose; None unless converged.
+        map_from_base: Pose of the odometry's child frame at the time of the image, by the best mode, one pose; without
+            published odometry of the base, or of the camera where nothing says how it is mounted.
+        map_from_odom: Transform from the map to the odometry's frame, one pose; None unless converged, and without
+            published odometry.
         latency_ms: Milliseconds from the arrival of the image, or the late one, to this estimate.
         skipped: Number of images that were skipped so far, by reason.
     """
