@@ -24,6 +24,7 @@ from sequences.recordings.source import RawMessage, decode
 
 _KEPT_NS, _PRESSURE_NS = 30 * 10**9, 120 * 10**9  # samples of a unit, and pressures, that are remembered
 _MOST_NEW = 500  # messages
+_ENOUGH_FRAMES = 60  # to say how their motions differ
 _SILENT_S = 5.0
 _LOOKS = 3  # at topics that are there and say nothing yet, or are not linked by tf yet
 
@@ -160,7 +161,8 @@ class LiveSensors:
     def notices(self) -> list[str]:
         """Sentences for users, by the messages so far."""
         of_each = [notice for each in (self.unit, self.barometer) if each is not None for notice in each.notices]
-        return [*self._said, *of_each, *self.motion.notices, *self.silent]
+        of_motions = self.motion.notices if self.motion.num_frames >= _ENOUGH_FRAMES else []
+        return [*self._said, *of_each, *of_motions, *self.silent]
 
     def values(self, gravity: Gravity | None) -> dict[str, object]:
         """Figures for diagnostics, by name; none without sensors.

@@ -1,10 +1,12 @@
 """An inertial unit and a barometer of a running system: what they say of frames as their samples come."""
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.inertial.sequence import InertialSequence
 from sequences.inertial.topics import read_inertial
@@ -107,6 +109,24 @@ def test_a_late_image_is_corrected_as_well_and_teaches_nothing_twice(said: list[
     assert frame.odometry is not None
     assert np.sqrt(frame.odometry.covariance[5, 5]) < 0.02
     assert robot.reader.sensors.motion.gyroscope.num_motions == learned
+
+
+def test_across_a_pause_of_odometry_the_turn_is_known_and_the_way_is_not(said: list[RawMessage]) -> None:
+    robot = sensing([raw for raw in said if raw.topic != ODOMETRY or not 1010 < at_ms(raw) < 1650])
+    before, after = next(
+        (one, other)
+        for (_, one), (_, other) in pairwise(robot.frames)
+        if other.odometry is not None and not other.odometry.knows_translation
+    )
+    assert after.odometry is not None
+    assert after.time_ns - before.time_ns >= 600 * MS
+    turned = world_from_camera(before.time_ns).between(world_from_camera(after.time_ns)).log()[3:]
+    error = after.odometry.previous_from_current.between(Poses.exp(np.append(np.zeros(3), turned))).log()[3:]
+    assert np.linalg.norm(turned) > 0.05
+    assert np.linalg.norm(error) < 0.01
+    assert (np.abs(error) < 3 * np.sqrt(np.diag(after.odometry.covariance)[3:])).all()
+    rest = [frame.odometry for _, frame in robot.frames if frame.time_ns > after.time_ns]
+    assert all(odometry is not None and odometry.knows_translation for odometry in rest)
 
 
 @pytest.mark.parametrize("by_s", [-5, 5])
