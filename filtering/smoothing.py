@@ -186,13 +186,16 @@ class Sources(NamedTuple):
         vertical, in_gap, motion, to_here = self.vertical, self.in_gap, measured(step.odometry), None
         cameras, moved = self.cameras, [0.0] * sum(len(camera.sources) for camera in self.cameras.values())
         if in_gap is None:
-            motion, moved = None, [*moved, *([] if vertical is None else [0.0])]
+            motion = rescaled = None
+            moved = [*moved, *([] if vertical is None else [0.0])]
         elif motion is not None:
             rescaled = motion.rescaled(step.odometry_scale_error)
             cameras, moved = _each({name: camera.predict(rescaled) for name, camera in cameras.items()})
             vertical, moved = _with_vertical(vertical, moved)
             to_here = transition(motion, config.odometry_bias, moved, noise, new_drift=in_gap)
         else:
+            # The search turns as far as is known; what is forgotten does not come from anywhere.
+            rescaled = None if config.gap.action == "forget" else step.odometry
             likely = step.gap_motion or GapMotion(Poses.identity())
             cameras, moved = _each({name: camera.across_gap(likely) for name, camera in cameras.items()})
             vertical, moved = _with_vertical(vertical, moved)
@@ -204,9 +207,8 @@ class Sources(NamedTuple):
         if not step.posterior.is_uninformative:
             camera, _, power = cameras[step.camera].observe(step.posterior)
             cameras = {**cameras, step.camera: camera}
-        pose = None if motion is None else motion.previous_from_current
         searched = SearchStep(
-            step.posterior, pose, step.elapsed_s, power, config.outlier_places, step.hypotheses, step.weights
+            step.posterior, rescaled, step.elapsed_s, power, config.outlier_places, step.hypotheses, step.weights
         )
         if vertical is not None and step.vertical is not None:
             vertical = vertical.observe(step.vertical)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import cycle, islice
 from pathlib import Path
@@ -27,7 +27,7 @@ from sequences.frame import Camera, Frame
 from sequences.images.decoding import decode_image_bytes
 from sequences.reader import SequenceReader
 from vapor.benchmark import PROGRAM
-from vapor.benchmark.commands.options import require_each_once
+from vapor.benchmark.commands.options import SummaryPath, claim_summary, require_each_once, write_rows
 from vapor.checkpoints.calibration import Calibration
 from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.commands.console import parse, show
@@ -245,6 +245,7 @@ class Options:
     """Processor threads of the network."""
     repetitions: int = 50
     """How often every part is timed."""
+    summary: SummaryPath = None
 
     def __post_init__(self) -> None:
         require_within(self, **dict.fromkeys(("num_samples", "threads", "repetitions"), (1, 10**6)))
@@ -260,6 +261,7 @@ class Options:
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     o = parse("step", Options, arguments, program=PROGRAM)
+    claim_summary(o.summary)
     frames, camera = ([], None) if o.sequence is None else _frames(o.sequence)
     table = Table("part of a step", "median ms", "95 % ms", "99 % ms")
     with limited_threads(o.threads):
@@ -272,6 +274,7 @@ def main(arguments: Sequence[str]) -> None:
     for timing in timings:
         table.add_row(timing.part, f"{timing.median_ms:.2f}", f"{timing.p95_ms:.2f}", f"{timing.p99_ms:.2f}")
     show(table)
+    write_rows(o.summary, map(asdict, timings))
 
 
 def _models(o: Options, camera: Camera | None) -> dict[str, VaporObservationModel]:
