@@ -176,12 +176,12 @@ def running(
 
 def hurry(patch: pytest.MonkeyPatch) -> None:
     """Shorten waits of seconds to a tenth."""
-    from sequences.live import reader, sensors
+    from sequences.live import opening, sensors
 
-    patch.setattr(reader, "_SETTLED_S", 0.03)
-    patch.setattr(reader, "_ASK_AGAIN_S", 0.01)
-    patch.setattr(reader, "_REPORT_AGAIN_S", 0.1)
-    patch.setattr(reader, "_WITHOUT_ODOMETRY_S", 0.5)
+    patch.setattr(opening, "_SETTLED_S", 0.03)
+    patch.setattr(opening, "_ASK_AGAIN_S", 0.01)
+    patch.setattr(opening, "_REPORT_AGAIN_S", 0.1)
+    patch.setattr(opening, "_WITHOUT_ODOMETRY_S", 0.5)
     patch.setattr(sensors, "_SILENT_S", 0.5)
     patch.setattr(session, "_TICK_S", 0.05)
     patch.setattr(health, "_SILENT_S", 0.2)

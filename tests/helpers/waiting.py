@@ -4,7 +4,8 @@ import queue
 from collections.abc import Callable
 from typing import Any
 
-from sequences.live.reader import LiveReader, open_live
+from sequences.live.opening import open_live
+from sequences.live.reader import LiveReader
 from sequences.options import OdometryUse, ReadingOptions
 from sequences.recordings.source import TF_STATIC, RawMessage
 from tests.helpers.fake_transport import FakeTransport

@@ -11,7 +11,8 @@ import numpy as np
 
 from filtering.localizer import ParticleLocalizer
 from sequences.live.frames import LiveFrames
-from sequences.live.reader import LiveReader, open_live
+from sequences.live.opening import open_live
+from sequences.live.reader import LiveReader
 from sequences.live.transport import Transport
 from sequences.options import ReadingOptions
 from sequences.recordings.source import RawMessage

@@ -191,7 +191,7 @@ def test_of_several_cameras_each_has_its_turn() -> None:
 @pytest.fixture
 def wait(walked: Path, monkeypatch: pytest.MonkeyPatch) -> Wait:
     wait = Wait(messages_of(walked))
-    monkeypatch.setattr("sequences.live.reader.time", SimpleNamespace(monotonic=lambda: wait.now_s))
+    monkeypatch.setattr("sequences.live.opening.time", SimpleNamespace(monotonic=lambda: wait.now_s))
     return wait
 
 

@@ -22,7 +22,7 @@ WITHIN_S = 0.5  # of what is looked at now and then
 @pytest.fixture
 def wait(walk_file: Path, monkeypatch: pytest.MonkeyPatch) -> Wait:
     wait = Wait(messages_of(walk_file))
-    monkeypatch.setattr("sequences.live.reader.time", SimpleNamespace(monotonic=lambda: wait.now_s))
+    monkeypatch.setattr("sequences.live.opening.time", SimpleNamespace(monotonic=lambda: wait.now_s))
     return wait
 
 
