@@ -18,6 +18,7 @@ from sequences.trajectories.pose_lines import require_columns
 from sequences.trajectories.pose_tables import times_beside
 
 OdometryUse = Literal["required", "auto", "optional", "ignored", "unread"]
+OdometryOrigin = Literal["recorded", "visual", "both"]
 TruePoseUse = Literal["required", "optional"]
 
 _MAX_DURATION_S = 1e9  # of a recording; NaN and infinity are none
@@ -54,6 +55,11 @@ class ReadingOptions:
     motion_noise: MotionNoise = field(default_factory=MotionNoise)
     """Noise of odometry whose messages carry no covariance (zeros, or -1 first), and of the axes that they state a
     variance of 10 or more for, a placeholder for unmeasured axes."""
+    imu_topic: str | None = None
+    """Topic of the inertial unit, sensor_msgs/Imu, whose gravity corrects the tilt; '' for none. Default: the one with
+    the most messages, where tf links it to the camera."""
+    pressure_topic: str | None = None
+    """Topic of a barometer, sensor_msgs/FluidPressure, which shows rides in lifts; '' for none."""
     stamps: Literal["header", "log"] = "header"
     """Which time a message has: the stamp in its header, or when it was logged. Messages without a stamp always have
     the latter."""
@@ -102,12 +108,7 @@ class SequenceOptions(ReadingOptions):
     ground_truth_child_frame: str | None = None
     """Frame on the robot that the true poses are of. Default: the one that the messages name, else the camera's."""
     ground_truth_origin: tuple[float, float, float] | None = None
-    """Point to subtract from true positions, x y z in metres: for coordinates far from zero, such as UTM's."""
-    imu_topic: str | None = None
-    """Topic of the inertial unit, sensor_msgs/Imu, whose gravity corrects the tilt; '' for none. Default: the one with
-    the most messages, where tf links it to the camera."""
-    pressure_topic: str | None = None
-    """Topic of a barometer, sensor_msgs/FluidPressure, which shows rides in lifts; '' for none."""
+    """Point to subtract from the positions of true poses, x y z in metres: for coordinates far from zero, as of UTM."""
     allow_few_images: bool = False
     """Go on even if fewer than one image in ten can be used."""
     start_s: float = 0.0

@@ -88,7 +88,7 @@ class FramePairing:
             most_waiting: Images held, still encoded, until odometry and true poses reach them.
             lateness_ns: Images are held until one so much later has come, to order them by their stamps.
             over_gaps: Whether odometry leads over times without messages.
-            late_ns: An image that is older than the latest frame, by at most so much, still becomes a frame.
+            late_ns: See `FrameTimes`.
         """
         self._most_waiting, self._lateness_ns = most_waiting, lateness_ns
         self.skipped = SkipCounter(num_images)

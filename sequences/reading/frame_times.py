@@ -41,10 +41,13 @@ class FrameTimes:
 
     An image that is older than the latest frame by at most `late_ns` still becomes a frame; its motion, and that of
     the next one, is since the frame before it in time.
+
+    Attributes:
+        late_ns: See above.
     """
 
     def __init__(self, motion: KnownMotion, late_ns: int) -> None:
-        self._motion, self._late_ns = motion, late_ns
+        self._motion, self.late_ns = motion, late_ns
         self._frames: list[_FrameTime] = []
 
     @property
@@ -62,7 +65,7 @@ class FrameTimes:
         """Stamp from which on an image becomes a frame."""
         if not self._frames:
             return -(1 << 63)
-        return max(self._frames[0].taken_ns, self._frames[-1].taken_ns - self._late_ns)
+        return max(self._frames[0].taken_ns, self._frames[-1].taken_ns - self.late_ns)
 
     def admits(self, taken_ns: int, camera: str) -> bool:
         """Whether an image becomes a frame: it is not too late, and the first one of its camera at its time."""
@@ -77,7 +80,7 @@ class FrameTimes:
         at = self._after(taken_ns)
         time_ns = max([taken_ns, *(frame.time_ns + 1 for frame in self._frames[at - 1 : at])])
         self._frames.insert(at, _FrameTime(time_ns, taken_ns, self._motion.covers(taken_ns), camera))
-        followed = bisect_left(self._frames, self._frames[-1].taken_ns - self._late_ns, key=_taken_ns) - 1
+        followed = bisect_left(self._frames, self._frames[-1].taken_ns - self.late_ns, key=_taken_ns) - 1
         del self._frames[: max(followed, 0)]
         self._motion.forget_before(self._frames[0].taken_ns)
         return time_ns

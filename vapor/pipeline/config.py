@@ -14,6 +14,13 @@ OdometrySource = Literal["auto", "recorded", "visual", "both", "none"]
 PlanarUse = Literal["auto", "yes", "no"]
 
 
+def require_odometry_source(source: object) -> None:
+    """Raise VaporTrackError where this is no `OdometrySource`."""
+    if source not in get_args(OdometrySource):
+        known = ", ".join(get_args(OdometrySource))
+        raise VaporTrackError(f"odometry is {quoted(source)}, expected one of {known}")
+
+
 @dataclass(frozen=True)
 class FilterConfig:
     """Settings of the filter, wherever its images come from."""
@@ -91,7 +98,5 @@ class RunConfig(ModelConfig, FilteringConfig):
     def __post_init__(self) -> None:
         ModelConfig.__post_init__(self)
         require_within(self, localize_hz=(1e-3, 1e6), rate_hz=(1e-3, 1e6))
-        if self.odometry not in get_args(OdometrySource):
-            known = ", ".join(get_args(OdometrySource))
-            raise VaporTrackError(f"odometry is {quoted(self.odometry)}, expected one of {known}")
+        require_odometry_source(self.odometry)
         FilteringConfig.__post_init__(self)

@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 
 from filtering.errors import VaporTrackError
 from filtering.estimate import Estimate, Mode, Status
+from filtering.motion import measured
 from filtering.se3 import Poses
 from filtering.storeys import Storeys
 from sequences.frame import Frame, Trajectory
@@ -234,9 +235,9 @@ class RunRecorder:
         """Append one image, and the estimates of all methods after it."""
         estimate, number = step.estimate, len(self._times_ns)
         best = estimate.modes[0]
-        if frame.odometry is not None and self._dead_reckoning:
+        if (motion := measured(frame.odometry)) is not None and self._dead_reckoning:
             self._has_odometry = True
-            self._dead_reckoning.append(self._dead_reckoning[-1] @ frame.odometry.previous_from_current)
+            self._dead_reckoning.append(self._dead_reckoning[-1] @ motion.previous_from_current)
         else:  # the first image, of the run or after a gap; a sequence without odometry shows no dead reckoning
             start = best.world_from_camera if frame.world_from_reference is None else frame.world_from_reference
             self._dead_reckoning.append(start)
