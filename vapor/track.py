@@ -25,6 +25,7 @@ COMMANDS = {
     "map": "make poses for images alone, such as videos of a place, for `train`",
     "posterior": "draw the posterior of one image",
     "evaluate": "measure the trajectories of a run against true poses",
+    "completion": "print the script by which a shell completes commands and options",
 }
 """Name -> description; each is a module of `vapor.commands`, imported only when it is called."""
 
