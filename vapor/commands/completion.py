@@ -9,10 +9,12 @@ from dataclasses import dataclass
 from functools import reduce
 from importlib import import_module
 from operator import or_
-from typing import Annotated, Literal
+from pkgutil import iter_modules
+from typing import Annotated, Any, Literal
 
 import tyro
 
+import vapor.commands
 from vapor.commands.console import parse
 from vapor.commands.terminal import write
 
@@ -35,16 +37,21 @@ def main(arguments: Sequence[str]) -> None:
 
 def completion_script(shell: str) -> str:
     """The script for a shell, made from the options of all commands."""
-    from vapor.track import COMMANDS  # which imports this module
-
-    commands = [
-        Annotated[import_module(f"vapor.commands.{name}").Options, tyro.conf.subcommand(name, description=about)]
-        for name, about in COMMANDS.items()
-    ]
+    modules = {
+        each.name: import_module(f"vapor.commands.{each.name}") for each in iter_modules(vapor.commands.__path__)
+    }
+    commands: Any = reduce(
+        or_,
+        [
+            Annotated[module.Options, tyro.conf.subcommand(name)]
+            for name, module in modules.items()
+            if hasattr(module, "main")
+        ],
+    )
     script = io.StringIO()
     try:
         with redirect_stdout(script):
-            tyro.cli(reduce(or_, commands), prog="vapor-track", args=["--tyro-print-completion", shell])
+            tyro.cli(commands, prog="vapor-track", args=["--tyro-print-completion", shell])
     except SystemExit:
         return "\n".join([*map(_on_one_line, script.getvalue().rstrip().splitlines()), *_FILES.get(shell, ())]) + "\n"
     raise AssertionError("tyro printed no completion")
