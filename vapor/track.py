@@ -25,6 +25,7 @@ COMMANDS = {
     "export": "write a trained model as an ONNX file, for robots without torch",
     "convert": "write a data set of images with true poses as an MCAP sequence",
     "synthesize": "render a sequence through a synthetic scene",
+    "completion": "print the script by which a shell completes commands and options",
 }
 """Name -> description; each is a module of `vapor.commands`, imported only when it is called."""
 

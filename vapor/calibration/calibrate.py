@@ -20,8 +20,8 @@ from sequences.odometry_fit.fit import fit_odometry
 from sequences.odometry_fit.pieces import LEAST_INCREMENTS
 from sequences.odometry_fit.result import OdometryFit
 from sequences.options import SequenceOptions
-from vapor.calibration.error_correlation import Travel
-from vapor.calibration.image_errors import LEAST_IMAGES, LEAST_OUTLIERS, Change, fit_errors, ordinary_score
+from vapor.calibration.error_correlation import LEAST_IMAGES, Travel
+from vapor.calibration.image_errors import LEAST_OUTLIERS, Change, fit_errors, ordinary_score
 from vapor.calibration.ood_model import EXEMPLARS, extract_features, learn_ood_model
 from vapor.calibration.places import Observations
 from vapor.checkpoints.calibration import Calibration

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import chain
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from rich.table import Table
@@ -13,14 +13,15 @@ from rich.table import Table
 from filtering.measurement_noise import Six
 from sequences.options import SequenceOptions
 from sequences.outputs import refuse_other
-from vapor.calibration.calibrate import CalibrationResult, calibrate_model
-from vapor.calibration.places import REGIONS
 from vapor.checkpoints.file_format import find_model, is_model
 from vapor.commands.console import OutputPath, Overwrite, parse, show, show_notices, show_skipped, usage_error
 from vapor.commands.progress import progress
 from vapor.engines.engine import Device
 from vapor.evaluation.reliability import Reliability
 from vapor.training_data.entries import files_read
+
+if TYPE_CHECKING:  # torch is not needed for help and wrong options
+    from vapor.calibration.calibrate import CalibrationResult
 
 _BAR, _MARK, _WIDTH = "=", "|", 40  # of the diagram, characters
 
@@ -62,6 +63,8 @@ def main(arguments: Sequence[str]) -> None:
         usage_error("calibrate", f"images {o.images} and seed {o.seed}, expected at least 1 and 0")
     reads = chain([find_model(o.model)], files_read([*o.data, *o.training], o.reading))
     refuse_other(o.output, "model of vapor-track", is_model, reads=reads, overwrite=o.overwrite)
+    from vapor.calibration.calibrate import calibrate_model
+
     with progress("calibrating") as advance:
         result = calibrate_model(
             o.model,
@@ -97,6 +100,8 @@ def show_calibration(result: CalibrationResult) -> None:
                 gain = ""
             table.add_section()
         show(table)
+    from vapor.calibration.places import REGIONS
+
     if result.coverage is not None:
         found = ", ".join(f"{100 * fraction:.0f} %" for fraction in result.coverage)
         levels = ", ".join(f"{100 * level:.0f}" for level in REGIONS)

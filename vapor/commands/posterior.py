@@ -19,7 +19,6 @@ from vapor.checkpoints.file_format import find_model
 from vapor.commands.console import OutputPath, Overwrite, parse, show, show_notices
 from vapor.engines.engine import Device, EngineConfig
 from vapor.engines.start import describe
-from vapor.evaluation.posterior import posterior_metrics
 from vapor.evaluation.trajectory import THRESHOLDS
 from vapor.observation import VaporObservationModel
 from vapor.reporting.drawing import is_picture
@@ -63,6 +62,8 @@ class Options:
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     o = parse("posterior", Options, arguments)
+    from vapor.evaluation.posterior import posterior_metrics  # torch is not needed for help and wrong options
+
     file = find_model(o.model)
     reads = [file, *files_read(o.data)]
     refuse_other(o.output, "picture of vapor-track", is_picture, reads=reads, overwrite=o.overwrite)

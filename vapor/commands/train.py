@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, make_dataclass
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
 
 import tyro
 from rich.table import Table
@@ -16,18 +16,16 @@ from rich.table import Table
 from sequences.options import SequenceOptions
 from sequences.outputs import refuse_other
 from vapor.checkpoints.file_format import is_model
-from vapor.commands.calibrate import show_calibration
 from vapor.commands.console import OutputPath, Overwrite, parse, show, show_notices, show_skipped, usage_error
 from vapor.commands.progress import Progress, progress
-from vapor.evaluation.validation import Validation
 from vapor.training.config import TrainConfig
 from vapor.training.presets import METHODS, PRESETS
-from vapor.training.processes import is_first, joined_processes
-from vapor.training.progress import Progress as Where
-from vapor.training.progress import TrainingCheck, TrainResult
-from vapor.training.state import is_training_state, state_path
-from vapor.training.train import train
 from vapor.training_data.entries import files_read
+
+if TYPE_CHECKING:  # torch is not needed for help and wrong options
+    from vapor.evaluation.validation import Validation
+    from vapor.training.progress import Progress as Where
+    from vapor.training.progress import TrainingCheck, TrainResult
 
 Preset = Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(PRESETS)}}}")]
 Method = Annotated[str | None, tyro.conf.arg(metavar=f"{{{','.join(METHODS)}}}")]
@@ -101,11 +99,18 @@ def main(arguments: Sequence[str]) -> None:
     )
     if not options.data:
         usage_error("train", "no training data, expected at least one file or folder")
+    from vapor.training.processes import joined_processes
+
     with joined_processes(options.config.device):
         _train(options)
 
 
 def _train(options: Options) -> None:
+    from vapor.commands.calibrate import show_calibration
+    from vapor.training.processes import is_first
+    from vapor.training.state import is_training_state, state_path
+    from vapor.training.train import train
+
     state = state_path(options.output)
     for path, kind, is_kind in (
         (options.output, "model of vapor-track", is_model),

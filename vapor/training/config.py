@@ -9,9 +9,9 @@ from typing import Any, Literal
 from filtering.errors import require_within
 from vapor.checkpoints.calibration import Calibration
 from vapor.engines.engine import Device
-from vapor.regressors.loss import LossConfig
+from vapor.regressors.loss_config import LossConfig
 from vapor.regressors.network_config import REGRESSORS, NetworkConfig, regressor_class
-from vapor.training.augment import AugmentConfig
+from vapor.training.augment_config import AugmentConfig
 from vapor.training_data.training_set import TrainingError
 
 CameraChoice = Literal["auto", "estimated", "stated"]

@@ -20,7 +20,7 @@ from vapor.benchmark.real.published import poses_of
 from vapor.benchmark.real.row import RealConfig, RowContext, simulated_motions
 from vapor.benchmark.real.rows import ROWS
 from vapor.benchmark.real.trained_network import TrainedNetwork
-from vapor.regressors.loss import LossConfig
+from vapor.regressors.loss_config import LossConfig
 from vapor.regressors.network_config import NetworkConfig
 from vapor.training.config import TrainConfig
 

@@ -19,7 +19,7 @@ from vapor.calibration.calibrate import calibrate, fit_widths
 from vapor.checkpoints.calibration import Calibration
 from vapor.checkpoints.file_format import load_checkpoint
 from vapor.checkpoints.scene_scale import default_errors
-from vapor.regressors.loss import LossConfig
+from vapor.regressors.loss_config import LossConfig
 from vapor.regressors.network_config import NetworkConfig
 from vapor.regressors.scene_box import SceneBox
 from vapor.regressors.variational import VariationalPoseRegressor
