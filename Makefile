@@ -11,7 +11,7 @@ SCENES := staircase ceiling
 WALKS := $(foreach seed,$(shell seq 0 15),$(DATA)/%-$(seed).mcap)
 HELD_OUT := $(foreach seed,100 101 102 103,$(DATA)/%-held-out-$(seed).mcap)
 
-.PHONY: demo live-demo test ros check docs docs-links fuzz gpu models clean
+.PHONY: demo live-demo test ros check docs docs-links fuzz gpu measurements models clean
 
 demo: $(INSTALLED)
 	$(BIN)/vapor-track demo
@@ -50,11 +50,17 @@ gpu: $(INSTALLED)
 	mkdir -p build
 	$(BIN)/vapor-benchmark gpu --output build/gpu.json $(GPU)
 
+# What docs/measurements.md has and this has not measured yet, or with `make measurements ONLY="real step"` these with the
+# code as it is; what is interrupted goes on. `ONLY=--list` prints the names, with how long each takes, and `ONLY=--page` makes the page.
+ONLY ?=
+measurements: $(INSTALLED)
+	$(BIN)/python -m docs.measuring $(ONLY)
+
 $(INSTALLED): pyproject.toml
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --upgrade "pip>=25.1"
 	$(BIN)/python -m pip install --quiet torch==2.13.0
-	$(BIN)/python -m pip install --quiet --editable . --group dev
+	$(BIN)/python -m pip install --quiet --editable '.[all]' --group dev
 	touch $@
 
 # A recording played as a robot's topics, and the localization of that robot, until Ctrl-C.

@@ -1,12 +1,11 @@
-"""A robot without ROS: images and odometry come by a transport of your own, map -> odom goes out.
+"""A robot without ROS: images and odometry come by callbacks of your own, map -> odom goes out.
 
 python examples/own_loop.py sequence.mcap --model staircase
 
-A recording stands for the robot here; replace `images_of`.
+A recording stands for the robot here; replace `drive` by your subscriptions.
 """
 
 import argparse
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +13,33 @@ import numpy as np
 import vapor
 
 
-def images_of(robot: vapor.SequenceReader) -> Iterator[tuple[int, np.ndarray, vapor.Odometry | None]]:
-    """Stamp, RGB image, and the camera's motion since the last image: None where unknown."""
-    for frame in robot:
-        yield frame.time_ns, frame.image, frame.odometry
+class Robot:
+    """What the callbacks do; they may come from any thread, and in any order."""
+
+    def __init__(self, stream: vapor.StreamLocalizer) -> None:
+        self.stream, self.sent, self.status = stream, 0, ""
+
+    def on_motion(self, time_ns: int, motion: vapor.Odometry) -> None:
+        """Take a motion that ended at a time."""
+        self.publish(self.stream.add_increment(time_ns, motion))  # or `add_odometry` of a pose, or `add_velocity`
+
+    def on_image(self, time_ns: int, image: np.ndarray) -> None:
+        """Take an RGB image."""
+        self.publish(self.stream.add_image(time_ns, image))
+
+    def publish(self, estimates: list[vapor.StreamEstimate]) -> None:
+        """Send where the robot is."""
+        for now in estimates:
+            self.status = now.estimate.status
+            self.sent += now.map_from_odom is not None  # only while it is converged: send it here
+
+
+def drive(recording: vapor.SequenceReader, robot: Robot) -> None:
+    for frame in recording:
+        robot.on_image(frame.time_ns, frame.image)  # it waits for the motion, which comes later
+        if frame.odometry is not None:
+            robot.on_motion(frame.time_ns, frame.odometry)
+    robot.publish(robot.stream.flush())
 
 
 def main() -> None:
@@ -26,19 +48,12 @@ def main() -> None:
     parser.add_argument("--model", default="staircase", help="model file, or one that ships: staircase, ceiling")
     options = parser.parse_args()
 
-    robot = vapor.SequenceReader(options.sequence)
-    model = vapor.VaporObservationModel.from_checkpoint(options.model, camera=robot.camera)
+    recording = vapor.SequenceReader(options.sequence)
+    model = vapor.VaporObservationModel.from_checkpoint(options.model, camera=recording.camera)
     localizer = vapor.ParticleLocalizer(model, rng=np.random.default_rng(0))
-    odom_from_camera = vapor.Poses.identity()  # a robot's odometry has it; here motions are composed
-    sent = 0
-    for time_ns, image, motion in images_of(robot):
-        estimate = localizer.step(image, motion, time_ns=time_ns)
-        if motion is not None:
-            odom_from_camera = odom_from_camera @ motion.previous_from_current
-        if estimate.status == "converged":  # otherwise send nothing
-            map_from_odom = estimate.modes[0].world_from_camera @ odom_from_camera.inverse()
-            sent += np.isfinite(map_from_odom.translation).all()
-    print(f"{sent} transforms sent, last status {estimate.status}")
+    robot = Robot(vapor.StreamLocalizer(localizer))  # the motions are the camera's: no `base_from_camera`
+    drive(recording, robot)
+    print(f"{robot.sent} transforms sent, last status {robot.status}, left out {dict(robot.stream.skipped)}")
 
 
 if __name__ == "__main__":

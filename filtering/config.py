@@ -42,18 +42,27 @@ class GapConfig:
 
 @dataclass(frozen=True)
 class LocalizerConfig:
-    """Settings of the filter; lengths follow from the measurement noise of the images (`MeasurementNoise`)."""
+    """Settings of the filter; lengths follow from the measurement noise of the images (`MeasurementNoise`).
+
+    Example:
+        >>> import numpy as np
+        >>> import vapor
+        >>> config = vapor.LocalizerConfig(late_window_s=1.0, converged_std_m=0.3)
+        >>> localizer = vapor.ParticleLocalizer(None, config, rng=np.random.default_rng(0))
+        >>> localizer.config.late_window_s
+        1.0
+    """
 
     max_hypotheses: int = 50
     """Largest number of particles, each a hypothesis with a Gaussian of its own."""
     outlier_places: float = 10.0
     """An outlier supports a wrong hypothesis with a probability of 1 over this: of so many places it shows one."""
     birth_rate: float = 3e-4
-    """Probability that the camera was carried off unnoticed, for every new view that fits the belief: so much of it
-    becomes unassigned, from which hypotheses are born."""
+    """Probability, for each new view that fits the belief, that the camera was carried off unnoticed. So much of the
+    belief becomes unassigned, and hypotheses are born from it."""
     max_birth_rate: float = 0.1
-    """The same for a view that does not fit at all; in between, in equal ratios. Both 0: nothing is ever unassigned,
-    nor born after the first image, where `births` is "rate"."""
+    """The birth rate of a view that does not fit at all; in between it rises in equal ratios. With both at 0 nothing is
+    ever unassigned, nor born after the first image, where `births` is "rate"."""
     births: Births = "rate"
     """Mass becomes unassigned at those rates, or as in augmented Monte Carlo localization, while images agree with the
     belief less than usual."""
@@ -68,23 +77,24 @@ class LocalizerConfig:
     converged_weight: float = 0.9
     """Status is "converged" from this weight of the best mode on."""
     converged_std: float = 3.0
-    """And with at most this standard deviation of its position along its widest axis, in standard deviations of an
-    ordinary image's error. With a map of landmarks: of a verified place's, or the geometric mean of both errors."""
+    """Status "converged" also needs a standard deviation of the best mode's position, along its widest axis, of at most
+    so many standard deviations of an ordinary image's error. With a map of landmarks: of a verified place's, or the
+    geometric mean of both errors."""
     converged_std_m: float | None = None
-    """The same in metres, instead."""
+    """That limit in metres, in place of `converged_std`."""
     converged_map_fraction: float = 0.5
-    """And at most this fraction of the size of the map (`MeasurementNoise.map_size_m`): a map-wide belief is not
-    converged."""
+    """Status "converged" also needs a standard deviation of at most this fraction of the size of the map
+    (`MeasurementNoise.map_size_m`): a map-wide belief is not converged."""
     converged_agreement: float = 0.7
-    """And while at least this fraction of the belief fits the latest images."""
+    """Status "converged" also needs that at least this fraction of the belief fits the latest images."""
     lost_agreement: float = 0.3
-    """Status is "lost" while less than this fits."""
+    """Status is "lost" while less than this fraction of the belief fits the latest images."""
     lost_unassigned: float = 0.5
-    """Or while more than this is unassigned."""
+    """Status is "lost" also while more than this fraction of the belief is unassigned."""
     agreement_s: float = 1.0
-    """Time over which that is averaged, seconds."""
+    """Time over which the fit to the latest images is averaged, seconds."""
     agreement_images: int = 5
-    """Least number of images over which it is averaged."""
+    """Least number of images over which the fit to the latest images is averaged."""
     switch_ratio: float = 1.5
     """Another mode becomes the best one when its weight exceeds that of the best by this factor."""
     odometry_bias: OdometryBias = field(default_factory=lambda: OdometryBias(relative_drift=0.6))
@@ -92,7 +102,7 @@ class LocalizerConfig:
     odometry_failures_per_s: float = 0.005
     """Rate at which odometry goes wrong: wheels slip or are stuck, a scale triples, a pose jumps."""
     odometry_failure_s: float = 5.0
-    """How long that lasts on average, seconds."""
+    """Mean duration of such a failure of odometry, seconds."""
     gap: GapConfig = field(default_factory=GapConfig)
     """Motion where odometry is missing."""
     modes: ModeConfig = field(default_factory=ModeConfig)

@@ -15,7 +15,16 @@ _MAX_BITS = 256  # of an integer that is written out: beyond some thousand digit
 
 
 class VaporTrackError(Exception):
-    """An input cannot be used; the message names what, where, the value found and the value expected."""
+    """An input cannot be used; the message names what, where, the value found and the value expected.
+
+    Example:
+        >>> import vapor
+        >>> try:
+        ...     vapor.SequenceReader("nowhere.mcap")
+        ... except vapor.VaporTrackError as error:
+        ...     print(error)
+        nowhere.mcap: ...
+    """
 
     def __str__(self) -> str:
         """The message; of a long one, long paths lose their beginnings and long words their middles."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, get_args
+from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
@@ -16,6 +16,9 @@ from filtering.moments import mixture_moments
 from filtering.motion import GapMotion
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
+
+if TYPE_CHECKING:
+    from filtering.plots import Axes
 
 _MARGIN = 1.01  # of a squared distance of hypotheses that are compared in full
 
@@ -33,6 +36,20 @@ class Innovation(NamedTuple):
             summed over the images of a step. S is the innovation's covariance by the belief and the ordinary error.
         degrees_of_freedom: 6 for each of these images: what it is on average where the errors are Gaussian and as
             large as stated. Tails of a Student t distribution make it larger.
+
+    Example:
+        >>> import numpy as np
+        >>> import vapor
+        >>> places = vapor.Poses.from_quat_xyzw([[1, 2, 0], [1, 6, 0]], [[0, 0, 0, 1], [0, 0, 0, 1]])
+        >>> posterior = vapor.PosePosterior.from_estimates(places, 0.1, 0.05, vapor.MeasurementNoise())  # m, rad
+        >>> localizer = vapor.ParticleLocalizer(None, rng=np.random.default_rng(0))
+        >>> estimate = localizer.update(posterior, None)
+        >>> one_metre = vapor.Poses.from_quat_xyzw([1, 0, 0], [0, 0, 0, 1])
+        >>> odometry = vapor.Odometry(one_metre, 1e-4 * np.eye(6), duration_s=1.0)
+        >>> seen = vapor.PosePosterior.from_estimates(places @ one_metre, 0.1, 0.05, vapor.MeasurementNoise())
+        >>> innovation = localizer.update(seen, odometry).modes[0].innovation
+        >>> innovation.squared < innovation.degrees_of_freedom  # nearer than usual
+        True
     """
 
     squared: float
@@ -40,12 +57,12 @@ class Innovation(NamedTuple):
 
 
 def squared_radius(
-    probability: float, degrees_of_freedom: float | Float64[np.ndarray, " n"]
+    probability: float, degrees_of_freedom: float | Float64[np.ndarray, " n"], dimensions: int = 6
 ) -> Float64[np.ndarray, "*n"]:
     """Squared Mahalanobis distances within which poses are with a probability, of one mode or of n.
 
-    The six components of the error have a Student t distribution; it is Gaussian where the degrees of freedom are
-    infinite.
+    The six components of the error, and so many of them by themselves, have a Student t distribution; it is Gaussian
+    where the degrees of freedom are infinite.
 
     Raises:
         VaporTrackError: the probability is not between 0 and 1.
@@ -53,8 +70,8 @@ def squared_radius(
     if not 0.0 < probability < 1.0:
         raise VaporTrackError(f"region of probability {probability}, expected one between 0 and 1")
     nu = np.asarray(degrees_of_freedom, np.float64)
-    student = 6.0 * fdtri(6, np.minimum(nu, _GAUSSIAN), probability)
-    return np.where(nu < _GAUSSIAN, student, chdtri(6, 1.0 - probability))
+    student = dimensions * fdtri(dimensions, np.minimum(nu, _GAUSSIAN), probability)
+    return np.where(nu < _GAUSSIAN, student, chdtri(dimensions, 1.0 - probability))
 
 
 @dataclass(frozen=True)
@@ -72,6 +89,19 @@ class Mode:
             that is new.
         degrees_of_freedom: Of the Student t distribution of the error, whose scale matrix is the covariance; infinite
             for a Gaussian. That of one calibrated image has the image's tails, that of many is nearly Gaussian.
+
+    Example:
+        >>> import numpy as np
+        >>> import vapor
+        >>> places = vapor.Poses.from_quat_xyzw([[1, 2, 0], [1, 6, 0]], [[0, 0, 0, 1], [0, 0, 0, 1]])
+        >>> posterior = vapor.PosePosterior.from_estimates(places, 0.1, 0.05, vapor.MeasurementNoise())  # m, rad
+        >>> localizer = vapor.ParticleLocalizer(None, rng=np.random.default_rng(0))
+        >>> estimate = localizer.update(posterior, None)
+        >>> best = estimate.modes[0]
+        >>> best.world_from_camera.translation.round(1), round(best.weight, 3), best.identity
+        (array([1., 2., 0.]), 0.475, 0)
+        >>> best.contains(vapor.Poses.from_quat_xyzw([1.1, 2, 0], [0, 0, 0, 1]), 0.9)
+        array(True)
     """
 
     world_from_camera: Poses
@@ -82,13 +112,15 @@ class Mode:
     innovation: Innovation | None = None
     degrees_of_freedom: float = np.inf
 
-    def squared_radius(self, probability: float) -> float:
+    def squared_radius(self, probability: float, dimensions: int = 6) -> float:
         """Squared Mahalanobis distance within which the true pose is with a probability, if the mode is right.
+
+        Of so many dimensions by themselves, such as two of the position.
 
         Raises:
             VaporTrackError: the probability is not between 0 and 1.
         """
-        return float(squared_radius(probability, self.degrees_of_freedom))
+        return float(squared_radius(probability, self.degrees_of_freedom, dimensions))
 
     def contains(self, poses: Poses, probability: float) -> Bool[np.ndarray, "*n"]:
         """Which poses (any batch) lie in the mode's region of a probability, in all six dimensions.
@@ -169,6 +201,19 @@ class Estimate:
         odometry_scale_error: Found in the odometry: where it is positive, reported distances are too long.
         gap_motion: How the camera moved in this step, where odometry was missing.
         left_out: Names of the cameras of this step whose views fit nowhere while those of the others fit.
+
+    Example:
+        >>> import numpy as np
+        >>> import vapor
+        >>> places = vapor.Poses.from_quat_xyzw([[1, 2, 0], [1, 6, 0]], [[0, 0, 0, 1], [0, 0, 0, 1]])
+        >>> posterior = vapor.PosePosterior.from_estimates(places, 0.1, 0.05, vapor.MeasurementNoise())  # m, rad
+        >>> localizer = vapor.ParticleLocalizer(None, rng=np.random.default_rng(0))
+        >>> estimate = localizer.update(posterior, None)
+        >>> estimate.status
+        'ambiguous'
+        >>> [round(mode.weight, 3) for mode in estimate.modes], round(estimate.unassigned, 3)
+        ([0.475, 0.475], 0.05)
+        >>> axes = estimate.plot()  # from above, with 90 % regions; axes.figure.savefig("belief.png")
     """
 
     modes: tuple[Mode, ...]
@@ -200,6 +245,34 @@ class Estimate:
         factor = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
         draws = np.random.default_rng(0).standard_normal((count, 6, 1))
         return self.particles[which] @ Poses.exp((factor[which] @ draws)[..., 0])
+
+    def plot(
+        self,
+        axes: Axes | None = None,
+        *,
+        plane: str | None = None,
+        truth: Poses | None = None,
+        probability: float = 0.9,
+    ) -> Axes:
+        """Draw the modes from above, with their regions, directions of view and weights, and the particles.
+
+        Args:
+            axes: Matplotlib's axes to draw in, where `axes.legend()` adds a legend; None for a new figure with one.
+            plane: Two axes of the world, such as "xz"; None for the horizontal ones, by the cameras.
+            truth: The true pose, or a true path (n,).
+            probability: Of the regions, if their modes are right.
+
+        Raises:
+            VaporTrackError: the plane is none, or the probability is not between 0 and 1.
+        """
+        from filtering.plots import Plan  # which is seldom needed
+
+        plan = Plan(axes, plane, Poses.stack([mode.world_from_camera for mode in self.modes]))
+        plan.points(self.particles, "particles")
+        plan.modes(self.modes, probability, "mode")
+        if truth is not None:
+            plan.truth(truth)
+        return plan.finish(f"{self.status}: best mode {100 * self.modes[0].weight:.0f} %")
 
 
 def describe_modes(

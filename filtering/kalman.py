@@ -23,10 +23,10 @@ from filtering.estimate import Mode
 from filtering.hypotheses import DRIFT, POSE, RIGHT, Hypotheses, birth, with_drift, with_source
 from filtering.measurement_noise import MeasurementNoise
 from filtering.moments import settle
-from filtering.motion import Odometry, OdometryBias, require_odometry
+from filtering.motion import Odometry, OdometryBias, measured, require_odometry
 from filtering.observation import Observation
 from filtering.posterior import PosePosterior
-from filtering.prediction import gap_motion, limit_rotation, motion_of_state
+from filtering.prediction import Gap, gap_motion, limit_rotation, motion_of_state
 from filtering.se3 import Poses
 from filtering.vertical import Vertical, VerticalMemory, corrected_by
 
@@ -106,7 +106,7 @@ class KalmanLocalizer:
             require_odometry(odom)
         if self._pose is None and not posterior.weights.any():
             raise VaporTrackError("the first image has no place of any weight, expected at least one")
-        if odom is None and self.config.gap.action == "forget":
+        if measured(odom) is None and self.config.gap.action == "forget":
             self._provisional = True
         if self._pose is None or (self._provisional and not posterior.is_uninformative):
             self._start(posterior, None)
@@ -182,14 +182,14 @@ class KalmanLocalizer:
 
     def _predict(self, pose: Poses, odom: Odometry | None, elapsed_s: float) -> None:
         bias, hypothesis = self.config.odometry_bias, self._hypothesis(pose)
-        if odom is None:
-            gap = self.config.gap
-            bias, odom = gap.velocity, Odometry.still(elapsed_s)
+        if odom is None or not odom.knows_translation:
+            gap = Gap.of(odom, elapsed_s, self.config.gap.velocity)
+            bias, odom, elapsed_s = gap.velocity, gap.known, gap.known.duration_s
             if self._drift is None:
                 self._drift = hypothesis.mean[0, 1:7], hypothesis.covariance[0, DRIFT, DRIFT]
                 hypothesis = with_drift(hypothesis, np.zeros(6), np.eye(6))
                 self._take(hypothesis)
-            motion = gap_motion(hypothesis, self._unseen_s, elapsed_s, gap)
+            motion = gap_motion(hypothesis, self._unseen_s, gap, self.config.gap)
             self._unseen_s += elapsed_s
             after = [source.across_gap(motion) for source in self._sources]
         else:

@@ -34,6 +34,20 @@ class ParticleLocalizer:
     Attributes:
         model, config: As given.
         belief: The state of the filter; each step replaces it. A step that fails leaves it as before.
+
+    Example:
+        >>> import numpy as np
+        >>> import vapor
+        >>> sequence = vapor.SequenceReader("walk.mcap")
+        >>> model = vapor.VaporObservationModel.from_checkpoint("place.safetensors", camera=sequence.camera)
+        >>> localizer = vapor.ParticleLocalizer(model, rng=np.random.default_rng(0))
+        >>> for frame in sequence:
+        ...     estimate = localizer.step(frame.image, frame.odometry, time_ns=frame.time_ns)
+        >>> estimate.status in ("converged", "ambiguous", "lost")
+        True
+        >>> best = estimate.modes[0]  # pose, covariance, weight
+        >>> best.world_from_camera.translation.shape
+        (3,)
     """
 
     def __init__(

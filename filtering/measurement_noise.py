@@ -32,6 +32,13 @@ class MeasurementNoise:
     certainty. What lasts of an error of position is along the axes of the map (`filtering.hypotheses.along_map`).
 
     Tuples are (x, y, z) along and about the camera's axes, metres and radians.
+
+    Example:
+        >>> import vapor
+        >>> metres, radians = (0.15, 0.15, 0.15), (0.05, 0.05, 0.05)  # errors of an ordinary image, along each axis
+        >>> noise = vapor.MeasurementNoise(radius_m=0.8, typical_std=metres + radians, length_m=0.5)
+        >>> noise.scaled(10.0).length_m  # in a place ten times as large
+        5.0
     """
 
     radius_m: float = 0.3

@@ -6,7 +6,8 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from filtering.errors import VaporTrackError
-from filtering.se3 import Poses, nearest_rotation
+from filtering.se3 import Poses
+from filtering.so3 import nearest_rotation
 
 _ROUNDING = 1e-12  # of a variance: a thousand times the error of double precision in a product
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple, Protocol, runtime_checkable
 
@@ -14,6 +14,7 @@ from filtering.errors import VaporTrackError, require_within
 from filtering.se3 import Poses
 
 _LEAST_SCALE = 0.1
+_WALK_M_PER_S = 1.5  # along each axis, of a motion of which the rotation alone is known
 _RIGID = 1e-6  # of RRᵀ − I: float32 passes
 _LARGEST_VARIANCE, _LONGEST_M = 1e12, 1e9
 _NODES, _NODE_WEIGHTS = np.polynomial.legendre.leggauss(10)  # 1e-14 of the integral for turns up to π
@@ -30,16 +31,48 @@ class Odometry:
             `previous_from_current @ Poses.exp(ξ)`; symmetric, positive semidefinite, in the current camera frame. Of
             white noise only: that of consecutive increments is independent.
         duration_s: Seconds it took, 0 or more.
+        knows_translation: False of a motion of which the rotation alone was measured, see `turn`.
+
+    Example:
+        >>> import numpy as np
+        >>> import vapor
+        >>> ahead = vapor.Poses.exp(np.array([0, 0, 0.25, 0, 0.1, 0]))  # z is forward; turned about y
+        >>> std = [0.01, 0.01, 0.02, 0.005, 0.005, 0.005]
+        >>> odometry = vapor.Odometry(ahead, np.diag(np.square(std)), duration_s=0.5)
+        >>> odometry.then(odometry).duration_s
+        1.0
     """
 
     previous_from_current: Poses
     covariance: Float64[np.ndarray, "6 6"]
     duration_s: float
+    knows_translation: bool = True
 
     @staticmethod
     def still(duration_s: float = 0.0) -> Odometry:
         """No motion, and no error."""
         return Odometry(Poses.identity(), np.zeros((6, 6)), duration_s)
+
+    @staticmethod
+    def turn(rotation: Poses, covariance: Float64[np.ndarray, "3 3"], duration_s: float) -> Odometry:
+        """A motion of which the rotation alone is known, as by a gyroscope.
+
+        A filter moves by an unknown velocity meanwhile (`GapConfig`). To others the translation is 0, with the error of
+        a brisk walk.
+
+        Args:
+            rotation: One pose, of which the rotation counts.
+            covariance: Of the rotation, rad².
+            duration_s: Seconds it took.
+        """
+        of_all = np.diag(np.repeat([(_WALK_M_PER_S * duration_s) ** 2, 0.0], 3))
+        of_all[3:, 3:] = covariance
+        return Odometry(Poses(rotation.rotation, np.zeros(3)), of_all, duration_s, knows_translation=False)
+
+    @property
+    def rotation_only(self) -> Odometry:
+        """The same, of which the rotation alone is known."""
+        return Odometry.turn(self.previous_from_current, self.covariance[3:, 3:], self.duration_s)
 
     @cached_property
     def tangent(self) -> Float64[np.ndarray, " 6"]:
@@ -62,6 +95,11 @@ class Odometry:
         return factor @ factor.T
 
     @cached_property
+    def spread_noise(self) -> Float64[np.ndarray, "6 6"]:
+        """Covariance of the noise that, spread evenly along the motion, adds up to its covariance (`accumulated`)."""
+        return _spread_noise(self.tangent, self.covariance)
+
+    @cached_property
     def is_motion(self) -> bool:
         """True; raises as `require_odometry`."""
         _require_motion(self)
@@ -72,25 +110,27 @@ class Odometry:
         other_from_this = this_from_other.inverse()
         carry = other_from_this.adjoint()
         moved = self.previous_from_current
-        return Odometry(
+        other = Odometry(
             moved if moved.is_identity else other_from_this @ moved @ this_from_other,
             carry @ self.covariance @ carry.T,
             self.duration_s,
         )
+        return other if self.knows_translation else other.rotation_only
 
     def then(self, later: Odometry) -> Odometry:
         """This motion and the one that follows it as one."""
-        return Odometry(
+        whole = Odometry(
             self.previous_from_current @ later.previous_from_current,
             later.carry @ self.covariance @ later.carry.T + later.covariance,
             self.duration_s + later.duration_s,
         )
+        return whole if self.knows_translation and later.knows_translation else whole.rotation_only
 
     def in_unit(self, metres: float) -> Odometry:
         """The motion, whose lengths are in a unit of so many metres, in metres."""
         to_metres = np.repeat([metres, 1.0], 3)
         moved = Poses(self.previous_from_current.rotation, metres * self.previous_from_current.translation)
-        return Odometry(moved, to_metres[:, None] * self.covariance * to_metres, self.duration_s)
+        return replace(self, previous_from_current=moved, covariance=to_metres[:, None] * self.covariance * to_metres)
 
     def rescaled(self, scale_error: float) -> Odometry:
         """The motion less an error of its scale (`OdometryBias`); a tenth of its length at least."""
@@ -99,13 +139,14 @@ class Odometry:
             return self
         tangent = self.tangent.copy()
         tangent[:3] *= factor
-        return Odometry(Poses.exp(tangent), self.covariance, self.duration_s)
+        return replace(self, previous_from_current=Poses.exp(tangent))
 
     def part(self, fraction: float) -> Odometry:
         """The first part of this motion, a fraction of its duration, as if twist and noise were constant along it."""
         first = fraction * self.tangent
-        covariance = accumulated(first, fraction * _spread_noise(self.tangent, self.covariance))
-        return Odometry(Poses.exp(first), covariance, fraction * self.duration_s)
+        covariance = accumulated(first, fraction * self.spread_noise)
+        begun = Odometry(Poses.exp(first), covariance, fraction * self.duration_s)
+        return begun if self.knows_translation else begun.rotation_only
 
     def after(self, first: Odometry) -> Odometry:
         """The rest of this motion after its first part: `first.then(rest)` is this motion.
@@ -115,7 +156,8 @@ class Odometry:
         rest = first.previous_from_current.inverse() @ self.previous_from_current
         carry = rest.inverse().adjoint()
         covariance = _nearest_semidefinite(self.covariance - carry @ first.covariance @ carry.T)
-        return Odometry(rest, covariance, max(self.duration_s - first.duration_s, 0.0))
+        left = Odometry(rest, covariance, max(self.duration_s - first.duration_s, 0.0))
+        return left if self.knows_translation else left.rotation_only
 
 
 def require_odometry(odometry: Odometry) -> None:
@@ -276,6 +318,11 @@ class MotionNoise:
         return accumulated(tangent, np.diag(self.along(tangent, np.array(duration_s))))
 
 
+def measured(odometry: Odometry | None) -> Odometry | None:
+    """Odometry that knows the translation; None for another one."""
+    return odometry if odometry is not None and odometry.knows_translation else None
+
+
 def joined(motions: Iterable[Odometry | None]) -> Odometry | None:
     """Consecutive motions as one; None where one is unknown."""
     whole = Odometry.still()
@@ -317,7 +364,7 @@ class OdometryBias:
     scale: float = 0.02
     """Standard deviation of the scale error, as a fraction of the distance."""
     drift: tuple[float, float, float, float, float, float] | None = None
-    """Standard deviations of the drift, each axis of the camera: m/s, then rad/s. None: by `relative_drift`."""
+    """Standard deviations of the drift, each axis of the camera: m/s, then rad/s. Default: by `relative_drift`."""
     relative_drift: float = 1.0
     """Standard deviation of the drift over the square root of the rate at which the stated variance grows, each axis,
     1/√s: with 1.0 drift and white noise are equal after one second."""

@@ -26,6 +26,17 @@ class View:
         posterior: Of the camera's pose.
         reference_from_camera: Its extrinsics: from the camera to the frame that is localized, one pose.
         camera: Its name; errors are correlated among the images of one camera only.
+
+    Example:
+        >>> import numpy as np
+        >>> import vapor
+        >>> places = vapor.Poses.from_quat_xyzw([[1, 2, 0], [1, 6, 0]], [[0, 0, 0, 1], [0, 0, 0, 1]])
+        >>> posterior = vapor.PosePosterior.from_estimates(places, 0.1, 0.05, vapor.MeasurementNoise())  # m, rad
+        >>> aside = vapor.Poses.from_quat_xyzw([0.5, 0, 0], [0, 0, 0, 1])
+        >>> views = [vapor.View(posterior, vapor.Poses.identity(), "left"), vapor.View(posterior, aside, "right")]
+        >>> estimate = vapor.ParticleLocalizer(None, rng=np.random.default_rng(0)).update(views, None)
+        >>> estimate.left_out
+        ()
     """
 
     posterior: PosePosterior
@@ -57,6 +68,18 @@ class Observation:
     Raises:
         VaporTrackError: two views are of one camera, the elapsed time is negative or infinite, or the time is not an
             integer of 0 or more.
+
+    Example:
+        >>> import numpy as np
+        >>> import vapor
+        >>> places = vapor.Poses.from_quat_xyzw([[1, 2, 0], [1, 6, 3]], [[0, 0, 0, 1], [0, 0, 0, 1]])
+        >>> posterior = vapor.PosePosterior.from_estimates(places, 0.1, 0.05, vapor.MeasurementNoise())  # m, rad
+        >>> height = vapor.Vertical(heights=vapor.KnownHeight(3.0, std_m=0.2))
+        >>> view = vapor.View(posterior, vapor.Poses.identity(), "camera")
+        >>> localizer = vapor.ParticleLocalizer(None, rng=np.random.default_rng(0))
+        >>> estimate = localizer.advance(vapor.Observation((view,), time_ns=0, vertical=height))
+        >>> estimate.modes[0].world_from_camera.translation.round(1)
+        array([1., 6., 3.])
     """
 
     views: tuple[View, ...] = ()
@@ -72,7 +95,7 @@ class Observation:
         if not 0.0 <= self.elapsed_s < np.inf:
             raise VaporTrackError(f"{self.elapsed_s} s since the previous step, expected a finite time of 0 s or more")
         if self.time_ns is not None:
-            _require_time(self.time_ns)
+            require_time(self.time_ns)
 
     @staticmethod
     def of_posterior(
@@ -104,6 +127,11 @@ class Observation:
         return self.views[0].posterior.seen_from(self.views[0].reference_from_camera)
 
 
-def _require_time(time_ns: object) -> None:
+def require_time(time_ns: object) -> None:
+    """Check that a time is integer nanoseconds, 0 or more.
+
+    Raises:
+        VaporTrackError: it is not.
+    """
     if not isinstance(time_ns, int | np.integer) or isinstance(time_ns, bool) or not 0 <= time_ns < _MOST_NS:
         raise VaporTrackError(f"time_ns is {quoted(time_ns)}, expected integer nanoseconds from 0 to 2⁶³")

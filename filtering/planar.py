@@ -45,6 +45,13 @@ class HeightMap:
         positions: Of training poses, (n, 3), n ≥ 2.
         world_up: Unit vector.
         least_std_m: Standard deviation beside the spread of the heights, metres.
+
+    Example:
+        >>> import numpy as np
+        >>> import vapor
+        >>> ramp = np.array([[x, y, 1.2 + 0.1 * x] for x in np.arange(0, 4, 0.5) for y in np.arange(0, 4, 0.5)])
+        >>> vapor.HeightMap(ramp).at(np.array([[2.0, 2.0, 1.0]])).height_m.round(2)
+        array([1.4])
     """
 
     positions: Float64[np.ndarray, "n 3"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
@@ -16,6 +16,9 @@ from filtering.moments import group_moments
 from filtering.se3 import Poses
 from filtering.training_prior import TrainingPrior
 from filtering.unchecked import unchecked_replace
+
+if TYPE_CHECKING:
+    from filtering.plots import Axes
 
 _SOUGHT = 250  # samples among which peaks are sought
 _KERNEL_APART = np.exp(-2.0 * 1.5**2)  # of two samples that are 1.5 radii apart
@@ -43,6 +46,18 @@ class PosePosterior:
         prior: Density of training poses at each place, in any unit, above 0, (k,); None for an even one. The weights
             contain it, which counts once; it is divided out of what further images add.
         mapped: Where landmarks can verify places; None for everywhere. Only the particle filter uses it.
+
+    Example:
+        >>> import numpy as np
+        >>> import vapor
+        >>> places = vapor.Poses.from_quat_xyzw([[1, 2, 0], [1, 6, 0]], [[0, 0, 0, 1], [0, 0, 0, 1]])
+        >>> noise = vapor.MeasurementNoise()
+        >>> posterior = vapor.PosePosterior.from_estimates(places, std_m=0.1, std_rad=0.05, noise=noise)
+        >>> rng = np.random.default_rng(0)
+        >>> drawn = places[rng.integers(2, size=500)] @ vapor.Poses.exp(0.1 * rng.standard_normal((500, 6)))
+        >>> len(vapor.PosePosterior.from_samples(drawn, noise).means)
+        2
+        >>> axes = posterior.plot(truth=places[0])
     """
 
     means: Poses
@@ -292,6 +307,30 @@ class PosePosterior:
         vars(larger)["factors"] = np.sqrt(factors)[:, None, None] * self.factors
         return larger
 
+    def plot(
+        self,
+        axes: Axes | None = None,
+        *,
+        plane: str | None = None,
+        truth: Poses | None = None,
+        probability: float = 0.9,
+    ) -> Axes:
+        """Draw the places from above, with their regions, directions of view and weights, and the samples.
+
+        Arguments and errors are those of `Estimate.plot`.
+        """
+        from filtering.estimate import posterior_modes  # which needs this module
+        from filtering.plots import Plan
+
+        modes = posterior_modes(self)
+        plan = Plan(axes, plane, self.means if len(modes) else self.samples)
+        plan.points(self.samples, "samples", size=3.0)
+        plan.modes(modes, probability, "place")
+        if truth is not None:
+            plan.truth(truth)
+        known = "no place" if not modes else "1 place" if len(modes) == 1 else f"{len(modes)} places"
+        return plan.finish(f"{known}, out of distribution" if self.is_out_of_distribution else known)
+
     def seen_from(self, reference_from_camera: Poses) -> PosePosterior:
         """The posterior of another frame that is fixed to the camera (one pose)."""
         if reference_from_camera.is_identity:
@@ -314,7 +353,20 @@ class PosePosterior:
 
 @runtime_checkable
 class ObservationModel(Protocol):
-    """Maps an image to its posterior: one network call per image."""
+    """Maps an image to its posterior: one network call per image.
+
+    Example:
+        >>> import numpy as np
+        >>> import vapor
+        >>> class Mine:
+        ...     def observe(self, image, *, rng):
+        ...         place = vapor.Poses.from_quat_xyzw([[image.mean() / 255, 0, 0]], [[0, 0, 0, 1]])  # your network
+        ...         return vapor.PosePosterior.from_estimates(place, 0.1, 0.05, vapor.MeasurementNoise())
+        >>> localizer = vapor.ParticleLocalizer(Mine(), rng=np.random.default_rng(0))
+        >>> estimate = localizer.step(np.full((48, 64, 3), 255, np.uint8), None)
+        >>> estimate.modes[0].world_from_camera.translation.round(1)
+        array([1., 0., 0.])
+    """
 
     def observe(self, image: np.ndarray, *, rng: np.random.Generator) -> PosePosterior:
         """The posterior of one image, (H, W, 3) uint8 RGB."""

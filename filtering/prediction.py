@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
@@ -225,7 +226,7 @@ def moved(
     if not useless.any():
         return predict(hypotheses, odometry, odometry_bias, distances)
     others, own = np.flatnonzero(~useless), np.flatnonzero(useless)
-    parts = [across_gap(hypotheses[own], velocity, odometry.duration_s, distances)]
+    parts = [across_gap(hypotheses[own], Gap.of(None, odometry.duration_s, velocity), distances)]
     if len(others):
         parts.append(predict(hypotheses[others], odometry, odometry_bias, distances))
     return concatenate(parts)[np.argsort(np.concatenate([own, others]))]
@@ -239,38 +240,66 @@ def drift_of(odometry: Odometry, odometry_bias: OdometryBias) -> Float64[np.ndar
     return np.asarray(odometry_bias.drift) * duration_s
 
 
-def across_gap(
-    hypotheses: Hypotheses, velocity: OdometryBias, duration_s: float, distances: Sequence[float]
-) -> Hypotheses:
-    """Hypotheses after a time without odometry, in which they move by the velocity that their drift is then.
+class Gap(NamedTuple):
+    """A motion without odometry, in which a hypothesis moves by the velocity that its drift is then.
+
+    Attributes:
+        known: What is known of it: that it lasts so long, or also how the camera turned; the translation is 0.
+        velocity: What is unknown, as the drift of such odometry.
+    """
+
+    known: Odometry
+    velocity: OdometryBias
+
+    @staticmethod
+    def of(odometry: Odometry | None, elapsed_s: float, velocity: OdometryBias) -> Gap:
+        """The gap of a motion that is unknown, of so many seconds, or of which the rotation alone is known.
+
+        Args:
+            odometry: Whose translation does not count; None where nothing is known.
+            elapsed_s: Seconds of it, where nothing is known.
+            velocity: `GapConfig.velocity`, or `unknown_velocity`.
+        """
+        if odometry is None:
+            return Gap(Odometry.still(elapsed_s), velocity)
+        rotation, covariance = odometry.previous_from_current.rotation, odometry.covariance.copy()
+        covariance[:3] = covariance[:, :3] = 0.0
+        known = Odometry(Poses(rotation, np.zeros(3)), covariance, odometry.duration_s)
+        drift = velocity.drift or (0.0,) * 6
+        return Gap(known, unchecked_replace(velocity, drift=(*drift[:3], 0.0, 0.0, 0.0)))
+
+
+def across_gap(hypotheses: Hypotheses, gap: Gap, distances: Sequence[float]) -> Hypotheses:
+    """Hypotheses after a motion without odometry.
 
     Args:
         hypotheses: Before.
-        velocity: `GapConfig.velocity`, or `unknown_velocity`.
-        duration_s: Seconds of it.
+        gap: The motion.
         distances: Normalized distance that the camera of each source likely moved.
     """
-    moved = predict(hypotheses, Odometry.still(duration_s), velocity, distances)
+    moved = predict(hypotheses, gap.known, gap.velocity, distances)
     limit_rotation(moved.covariance)
     return moved
 
 
-def gap_motion(hypotheses: Hypotheses, unseen_s: float, duration_s: float, gap: GapConfig) -> GapMotion:
+def gap_motion(hypotheses: Hypotheses, unseen_s: float, gap: Gap, config: GapConfig) -> GapMotion:
     """The motion without odometry, by the velocity of the heaviest hypothesis.
 
-    A velocity lasts for a time (`GapConfig.time_s`). For longer without an image the camera may be anywhere.
+    A velocity lasts for a time (`GapConfig.time_s`). For longer without an image the camera may be anywhere, but it
+    turned as far as is known.
 
     Args:
         hypotheses: Before, whose drift is in units of `GapConfig.velocity`.
         unseen_s: Seconds since the latest image, before it.
-        duration_s: Seconds of it.
-        gap: Settings.
+        gap: The motion.
+        config: Settings.
     """
     drift = hypotheses.mean[int(np.argmax(hypotheses.log_weights)), 1:7]
-    likely = Poses.exp(_errors_of(Odometry.still(duration_s), gap.velocity)[:, 1:] @ drift)
-    before_s, after_s = (max(each - gap.time_s, 0.0) for each in (unseen_s, unseen_s + duration_s))
-    unknown_s = after_s - before_s
-    return GapMotion(likely, gap.speed_m_per_s * unknown_s, gap.turn_rad_per_s * unknown_s)
+    likely = gap.known.previous_from_current @ Poses.exp(_errors_of(gap.known, gap.velocity)[:, 1:] @ drift)
+    ends_s = unseen_s, unseen_s + gap.known.duration_s
+    before_s, after_s = (max(each - config.time_s, 0.0) for each in ends_s)
+    unknown_s, turns = after_s - before_s, gap.velocity.drift is not None and any(gap.velocity.drift[3:])
+    return GapMotion(likely, config.speed_m_per_s * unknown_s, config.turn_rad_per_s * unknown_s if turns else 0.0)
 
 
 def limit_rotation(covariance: Float64[np.ndarray, "n d d"]) -> None:

@@ -2,22 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float64
 from scipy.spatial.transform import Rotation
 
-from filtering.errors import VaporTrackError
+from filtering.errors import VaporTrackError, quoted
+from filtering.so3 import (
+    cross,
+    dot,
+    exp_coefficients,
+    log_coefficient,
+    nearest_rotation,
+    rodrigues,
+    rotation_from_quat_xyzw,
+    rotvec_from_rotation,
+    skew,
+)
 
-_SMALL_SQ = 1e-4  # rad²: below, series are exact and quotients cancel
-# v @ _SKEW is [v]×, row by row.
-_SKEW = np.array([[0, 0, 0, 0, 0, -1, 0, 1, 0], [0, 0, 1, 0, 0, 0, -1, 0, 0], [0, -1, 0, 1, 0, 0, 0, 0, 0]], np.float64)
-# R @ _SINE_COSINE are sin θ times the axis, which is half of R − Rᵀ, and cos θ + ½.
-_SINE_COSINE = np.column_stack([_SKEW.T, np.eye(3).ravel()]) / 2
-_NO_SINE = 1e-300  # squared: the quotient of an angle of 0 and its sine is then 1
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+_NO_ROTATION, _ROUNDING = 0.01, 1e-12  # of RRᵀ − I: beyond, other numbers; below, that of double precision
 
 
 @dataclass(frozen=True)
@@ -31,6 +41,25 @@ class Poses:
     Attributes:
         rotation: Rotation matrices, float64.
         translation: Translations in metres, float64.
+
+    Example:
+        >>> import numpy as np
+        >>> import vapor
+        >>> from scipy.spatial.transform import Rotation
+        >>> turned = vapor.Poses.from_rotation([1, 2, 0], Rotation.from_euler("z", 90, degrees=True))
+        >>> turned.as_matrix().round(3).tolist()
+        [[0.0, -1.0, 0.0, 1.0], [1.0, 0.0, 0.0, 2.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+        >>> turned.as_quat_xyzw().round(3)
+        array([0.   , 0.   , 0.707, 0.707])
+        >>> turned.as_rotation().magnitude().round(3)
+        np.float64(1.571)
+        >>> quat_wxyz = turned.as_quat_xyzw()[[3, 0, 1, 2]]
+        >>> metres, radians = turned.distance(vapor.Poses.from_matrix(np.eye(4)))
+        >>> turned.inverse().apply(np.array([1.0, 3.0, 0.0])).round(3)
+        array([1., 0., 0.])
+        >>> path = vapor.Poses.stack([turned, vapor.Poses.identity()])  # a batch; `for pose in path:` goes over it
+        >>> len(path)
+        2
     """
 
     rotation: Float64[np.ndarray, "*batch 3 3"]
@@ -44,20 +73,45 @@ class Poses:
         return Poses(np.broadcast_to(np.eye(3), (*batch, 3, 3)).copy(), np.zeros((*batch, 3)))
 
     @staticmethod
-    def from_matrix(matrix: np.ndarray) -> Poses:
-        """Poses from homogeneous matrices of shape (*batch, 4, 4)."""
-        matrix = np.asarray(matrix, np.float64)
-        return Poses(matrix[..., :3, :3].copy(), matrix[..., :3, 3].copy())
+    def from_matrix(matrix: ArrayLike) -> Poses:
+        """Poses from homogeneous matrices (*batch, 4, 4), an array or lists.
+
+        Rotations that were rounded, as in a text file, become the nearest ones.
+
+        Raises:
+            VaporTrackError: another shape, a value that is not finite, a last row other than 0 0 0 1, or no rotation:
+                off from an orthonormal matrix by more than 1 %, or a mirroring.
+        """
+        matrix = _numbers("matrix", matrix, (4, 4))
+        rotation = matrix[..., :3, :3].copy()
+        last_row = np.abs(matrix[..., 3, :] - [0.0, 0.0, 0.0, 1.0]).max(axis=-1)
+        _require("matrix", np.asarray(last_row <= _ROUNDING), matrix, "0 0 0 1 as the last row")
+        off = np.abs(rotation @ np.swapaxes(rotation, -1, -2) - np.eye(3)).max(axis=(-2, -1))
+        is_rotation = (off <= _NO_ROTATION) & (np.linalg.det(rotation) > 0.0)
+        _require("matrix", np.asarray(is_rotation), matrix, "a rotation")
+        return Poses(nearest_rotation(rotation) if (off > _ROUNDING).any() else rotation, matrix[..., :3, 3].copy())
 
     @staticmethod
-    def from_quat_xyzw(translation: np.ndarray, quat_xyzw: np.ndarray) -> Poses:
-        """Poses from translations (*batch, 3) and quaternions (*batch, 4) in x, y, z, w order.
+    def from_rotation(translation: ArrayLike, rotation: Rotation) -> Poses:
+        """Poses from translations (*batch, 3) and as many of SciPy's rotations.
 
-        Quaternions are normalised. Raises:
-            VaporTrackError: a value is not finite, or a quaternion has no length.
+        Raises:
+            VaporTrackError: another shape, or a value that is not finite.
         """
-        translation = np.asarray(translation, np.float64)
-        quat_xyzw = np.asarray(quat_xyzw, np.float64)
+        matrix, translation = np.asarray(rotation.as_matrix(), np.float64), _numbers("translation", translation, (3,))
+        _require_shape("translation", translation, (3,), matrix.shape[:-2])
+        return Poses(matrix, translation.copy())
+
+    @staticmethod
+    def from_quat_xyzw(translation: ArrayLike, quat_xyzw: ArrayLike) -> Poses:
+        """Poses from translations (*batch, 3) and quaternions (*batch, 4) in x, y, z, w order, arrays or lists.
+
+        Quaternions are normalised.
+
+        Raises:
+            VaporTrackError: other shapes, a value that is not finite, or a quaternion without length.
+        """
+        translation, quat_xyzw = np.asarray(translation, np.float64), np.asarray(quat_xyzw, np.float64)
         norm = np.linalg.norm(quat_xyzw, axis=-1)
         if not (np.isfinite(translation).all() and np.isfinite(quat_xyzw).all()):
             raise VaporTrackError(
@@ -65,15 +119,17 @@ class Poses:
             )
         if (norm < 1e-6).any():
             raise VaporTrackError(f"quaternion xyzw {quat_xyzw.tolist()} has zero length, expected a unit quaternion")
+        _require_shape("quaternion xyzw", quat_xyzw, (4,))
+        _require_shape("translation", translation, (3,), quat_xyzw.shape[:-1])
         return Poses(rotation_from_quat_xyzw(quat_xyzw / norm[..., None]), translation.copy())
 
     @staticmethod
     def exp(tangent: Float64[np.ndarray, "*batch 6"]) -> Poses:
         """Exponential map of tangent vectors (v, ω)."""
         v, omega = tangent[..., :3], tangent[..., 3:]
-        a, b, c = _exp_coefficients(_dot(omega, omega))
-        translation = a * v + b * _cross(omega, v) + c * _dot(omega, v) * omega
-        return Poses(_rodrigues(omega, a, b), translation)
+        a, b, c = exp_coefficients(dot(omega, omega))
+        translation = a * v + b * cross(omega, v) + c * dot(omega, v) * omega
+        return Poses(rodrigues(omega, a, b), translation)
 
     @staticmethod
     def concatenate(parts: Sequence[Poses]) -> Poses:
@@ -99,6 +155,9 @@ class Poses:
             raise TypeError("a single pose has no length")
         return len(self.translation)
 
+    def __iter__(self) -> Iterator[Poses]:
+        return (self[i] for i in range(len(self)))
+
     def __getitem__(self, index: int | np.integer | slice | list[int] | np.ndarray) -> Poses:
         return Poses(self.rotation[index], self.translation[index])
 
@@ -109,6 +168,10 @@ class Poses:
         matrix[..., :3, 3] = self.translation
         matrix[..., 3, 3] = 1.0
         return matrix
+
+    def as_rotation(self) -> Rotation:
+        """SciPy's rotations, of the same batch shape."""
+        return Rotation.from_matrix(self.rotation)
 
     def as_quat_xyzw(self, *, known_valid: bool = False) -> Float64[np.ndarray, "*batch 4"]:
         """Unit quaternions in x, y, z, w order, w ≥ 0; rotations are checked unless they are known to be valid."""
@@ -157,9 +220,9 @@ class Poses:
     def log(self) -> Float64[np.ndarray, "*batch 6"]:
         """Tangent vectors (v, ω), with |ω| ≤ π; the inverse of `exp`."""
         omega = rotvec_from_rotation(self.rotation)
-        v, angle_sq = self.translation, _dot(omega, omega)
-        twice_turned = _dot(omega, v) * omega - angle_sq * v  # ω × (ω × v)
-        v = v - 0.5 * _cross(omega, v) + _log_coefficient(angle_sq) * twice_turned
+        v, angle_sq = self.translation, dot(omega, omega)
+        twice_turned = dot(omega, v) * omega - angle_sq * v  # ω × (ω × v)
+        v = v - 0.5 * cross(omega, v) + log_coefficient(angle_sq) * twice_turned
         return np.concatenate([v, omega], axis=-1)
 
     def adjoint(self) -> Float64[np.ndarray, "*batch 6 6"]:
@@ -215,88 +278,27 @@ class Poses:
         return Poses(nearest_rotation(mean_matrix), fraction @ self.translation)
 
 
-def nearest_rotation(matrix: Float64[np.ndarray, "*batch 3 3"]) -> Float64[np.ndarray, "*batch 3 3"]:
-    """The rotations nearest to matrices in the Frobenius norm: of a mean of rotations, their chordal L2 mean."""
-    u, _, vt = np.linalg.svd(matrix)
-    u[..., :, 2] *= np.linalg.det(u @ vt)[..., None]
-    return u @ vt
+def _numbers(name: str, values: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
+    """Finite numbers whose last axes have a shape."""
+    array = np.asarray(values, np.float64)
+    _require_shape(name, array, shape)
+    finite = np.isfinite(array).all(axis=tuple(range(-len(shape), 0)))
+    _require(name, np.asarray(finite), array, "finite numbers")
+    return array
 
 
-def rotation_from_quat_xyzw(quat_xyzw: Float64[np.ndarray, "*batch 4"]) -> Float64[np.ndarray, "*batch 3 3"]:
-    """Rotation matrices of unit quaternions in x, y, z, w order."""
-    flat = Rotation.from_quat(quat_xyzw.reshape(-1, 4)).as_matrix()
-    return flat.reshape(*quat_xyzw.shape[:-1], 3, 3)
+def _require_shape(name: str, array: np.ndarray, shape: tuple[int, ...], batch: tuple[int, ...] | None = None) -> None:
+    """Raise where an array has another shape, or one of another batch."""
+    split = array.ndim - len(shape)
+    if array.shape[max(split, 0) :] != shape or (batch is not None and array.shape[:split] != batch):
+        of_batch = "*batch" if batch is None else ", ".join(map(str, batch))
+        expected = ", ".join(filter(None, [of_batch, *map(str, shape)]))
+        raise VaporTrackError(f"{name} has shape {array.shape}, expected ({expected})")
 
 
-def rotvec_from_rotation(rotation: Float64[np.ndarray, "*batch 3 3"]) -> Float64[np.ndarray, "*batch 3"]:
-    """Rotation vectors of rotation matrices, with angles up to π."""
-    # Half of R − Rᵀ is sin θ times the axis: exact and fast except near π, where it vanishes.
-    parts = rotation.reshape(*rotation.shape[:-2], 9) @ _SINE_COSINE
-    sine_axis, cosine = parts[..., :3], parts[..., 3] - 0.5
-    sine = np.sqrt(np.maximum(np.vecdot(sine_axis, sine_axis), _NO_SINE))
-    rotvec = sine_axis * (np.arctan2(sine, cosine) / sine)[..., None]
-    far = cosine < -0.9
-    if far.any():
-        rotvec[far] = Rotation.from_matrix(rotation[far], assume_valid=True).as_rotvec()
-    return rotvec
-
-
-def _rodrigues(omega: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """(1 − bθ²) I + a [ω]× + b ω ωᵀ, with a = sin θ/θ and 1 − bθ² = cos θ."""
-    rotation = (b * omega)[..., :, None] * omega[..., None, :]
-    rotation += skew(a * omega)
-    rotation += (1.0 - b * _dot(omega, omega))[..., None] * np.eye(3)
-    return rotation
-
-
-def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Scalar products (..., 1) of vectors (..., 3)."""
-    return np.vecdot(a, b)[..., None]
-
-
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Cross products of vectors (..., 3), several times faster than numpy's."""
-    product = np.empty(np.broadcast(a, b).shape)
-    for axis, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
-        product[..., axis] = a[..., i] * b[..., j] - a[..., j] * b[..., i]
-    return product
-
-
-def skew(v: np.ndarray) -> np.ndarray:
-    """[v]× of vectors (..., 3)."""
-    return (v @ _SKEW).reshape(*v.shape, 3)
-
-
-def _exp_coefficients(angle_sq: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """sin θ/θ, (1 − cos θ)/θ², (θ − sin θ)/θ³, by series below 1e-2 rad where the quotients cancel."""
-    small = angle_sq < _SMALL_SQ
-    if small.all():
-        return _exp_series(angle_sq)
-    safe = np.where(small, 1.0, angle_sq)
-    angle = np.sqrt(safe)
-    sine = np.sin(angle)
-    quotients = sine / angle, 2 * np.sin(angle / 2) ** 2 / safe, (angle - sine) / (safe * angle)
-    if not small.any():
-        return quotients
-    a, b, c = (np.where(small, near, far) for near, far in zip(_exp_series(angle_sq), quotients, strict=True))
-    return a, b, c
-
-
-def _exp_series(angle_sq: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    fourth = angle_sq**2
-    return (
-        1 - angle_sq / 6 + fourth / 120,
-        0.5 - angle_sq / 24 + fourth / 720,
-        1 / 6 - angle_sq / 120 + fourth / 5040,
-    )
-
-
-def _log_coefficient(angle_sq: np.ndarray) -> np.ndarray:
-    """1/θ² − (1 + cos θ)/(2 θ sin θ), by series near zero and in a form that is finite at π."""
-    small = angle_sq < _SMALL_SQ
-    series = 1 / 12 + angle_sq / 720 + angle_sq**2 / 30240
-    if small.all():
-        return series
-    safe = np.maximum(angle_sq, _SMALL_SQ)
-    half = np.sqrt(safe) / 2
-    return np.where(small, series, (1 - half / np.tan(half)) / safe)
+def _require(name: str, good: np.ndarray, values: np.ndarray, expected: str) -> None:
+    """Raise where a pose of the batch is not good, and name the first one."""
+    if not good.all():
+        at = tuple(np.argwhere(~good)[0].tolist())
+        where = f"{name} {', '.join(map(str, at))}" if at else name
+        raise VaporTrackError(f"{where} is {quoted(values[at].tolist())}, expected {expected}")

@@ -21,9 +21,10 @@ from filtering.errors import VaporTrackError, require_within
 from filtering.estimate import Mode
 from filtering.hindsight import FilterStep, Hindsight, SmoothedTrajectory
 from filtering.measurement_noise import MeasurementNoise
-from filtering.motion import GapMotion, Odometry, OdometryBias
+from filtering.motion import GapMotion, OdometryBias, measured
 from filtering.observation import Observation
 from filtering.posterior import PosePosterior
+from filtering.prediction import Gap
 from filtering.se3 import Poses
 from filtering.state_chain import Places, Transition, transition, unknown_prior
 from filtering.trajectory_search import Path, SearchStep, most_probable_path
@@ -182,30 +183,32 @@ class Sources(NamedTuple):
             noise: Noise of the images.
             config: Settings.
         """
-        vertical, in_gap, motion, to_here = self.vertical, self.in_gap, step.odometry, None
+        vertical, in_gap, motion, to_here = self.vertical, self.in_gap, measured(step.odometry), None
         cameras, moved = self.cameras, [0.0] * sum(len(camera.sources) for camera in self.cameras.values())
         if in_gap is None:
-            motion, moved = None, [*moved, *([] if vertical is None else [0.0])]
+            motion = rescaled = None
+            moved = [*moved, *([] if vertical is None else [0.0])]
         elif motion is not None:
             rescaled = motion.rescaled(step.odometry_scale_error)
             cameras, moved = _each({name: camera.predict(rescaled) for name, camera in cameras.items()})
             vertical, moved = _with_vertical(vertical, moved)
             to_here = transition(motion, config.odometry_bias, moved, noise, new_drift=in_gap)
         else:
-            gap = step.gap_motion or GapMotion(Poses.identity())
-            cameras, moved = _each({name: camera.across_gap(gap) for name, camera in cameras.items()})
+            # The search turns as far as is known; what is forgotten does not come from anywhere.
+            rescaled = None if config.gap.action == "forget" else step.odometry
+            likely = step.gap_motion or GapMotion(Poses.identity())
+            cameras, moved = _each({name: camera.across_gap(likely) for name, camera in cameras.items()})
             vertical, moved = _with_vertical(vertical, moved)
-            still = Odometry.still(step.elapsed_s)
+            gap = Gap.of(step.odometry, step.elapsed_s, config.gap.velocity)
             # Motion without odometry says nothing of its scale.
-            velocity = replace(config.gap.velocity, scale=config.odometry_bias.scale)
-            to_here = transition(still, velocity, moved, noise, new_drift=not in_gap)
+            velocity = replace(gap.velocity, scale=config.odometry_bias.scale)
+            to_here = transition(gap.known, velocity, moved, noise, new_drift=not in_gap)
         power = 0.0
         if not step.posterior.is_uninformative:
             camera, _, power = cameras[step.camera].observe(step.posterior)
             cameras = {**cameras, step.camera: camera}
-        pose = None if motion is None else motion.previous_from_current
         searched = SearchStep(
-            step.posterior, pose, step.elapsed_s, power, config.outlier_places, step.hypotheses, step.weights
+            step.posterior, rescaled, step.elapsed_s, power, config.outlier_places, step.hypotheses, step.weights
         )
         if vertical is not None and step.vertical is not None:
             vertical = vertical.observe(step.vertical)

@@ -34,7 +34,7 @@ from filtering.mixture_reduction import reduce_mixture
 from filtering.motion import Odometry, OdometryBias, require_odometry
 from filtering.observation import Observation, View
 from filtering.posterior import PosePosterior
-from filtering.prediction import across_gap, gap_motion, leaps, moved, unknown_velocity, usual_speed, with_regimes
+from filtering.prediction import Gap, across_gap, gap_motion, leaps, moved, unknown_velocity, usual_speed, with_regimes
 from filtering.prediction import predict as predict_hypotheses
 from filtering.unchecked import unchecked_replace
 from filtering.vertical import Vertical, VerticalMemory, corrected_by
@@ -83,12 +83,14 @@ def predict(
     if belief.hypotheses is None:
         return belief
     if odometry is None:
-        return _across_gap(belief, elapsed_s, config)
+        return _across_gap(belief, Gap.of(None, elapsed_s, config.gap.velocity), config)
     require_odometry(odometry)
+    if not odometry.knows_translation:
+        return _across_gap(belief, Gap.of(odometry, elapsed_s, config.gap.velocity), config)
     noise, usual = noise_of(belief), belief.usual_m_per_s
     belief = unchecked_replace(belief, usual_m_per_s=usual_speed(usual, odometry))
     if config.odometry_failures_per_s > 0.0 and leaps(odometry, usual, noise):
-        return _across_gap(belief, odometry.duration_s, config)
+        return _across_gap(belief, Gap.of(None, odometry.duration_s, config.gap.velocity), config)
     hypotheses = hypotheses_of(belief)
     if belief.drift is not None:  # a gap has ended
         hypotheses = with_drift(hypotheses, *belief.drift)
@@ -114,20 +116,20 @@ def predict(
     )
 
 
-def _across_gap(belief: Belief, elapsed_s: float, config: LocalizerConfig) -> Belief:
+def _across_gap(belief: Belief, gap: Gap, config: LocalizerConfig) -> Belief:
     """Move the belief without odometry: the drift of each hypothesis is the velocity of the camera until it returns."""
-    gap = config.gap
+    elapsed_s = gap.known.duration_s
     hypotheses, drift = hypotheses_of(belief), belief.drift
     if drift is None:  # the gap begins
         mean, covariance = odometry_bias_of(hypotheses)
         drift = mean[1:], covariance[1:, 1:]
         hypotheses = unchecked_replace(hypotheses, regime=np.full(len(hypotheses), RIGHT))
         hypotheses = with_drift(hypotheses, np.zeros(6), np.eye(6))
-    motion = gap_motion(hypotheses, belief.unseen_s, elapsed_s, gap)
+    motion = gap_motion(hypotheses, belief.unseen_s, gap, config.gap)
     after = {name: camera.across_gap(motion) for name, camera in belief.cameras.items()}
     distances, vertical = _by_source(after, belief.vertical)
-    forgets = gap.action == "forget"
-    after_gap = across_gap(hypotheses, gap.velocity, elapsed_s, distances)
+    forgets = config.gap.action == "forget"
+    after_gap = across_gap(hypotheses, gap, distances)
     return unchecked_replace(
         belief,
         hypotheses=after_gap,

@@ -29,6 +29,12 @@ class Storeys:
         heights_m: Of cameras on each storey, along `up`, metres, from the lowest storey up, (f,).
         up: Unit vector in the world.
         cuts_m: Heights between one storey and the next, (f - 1,); empty for halfway.
+
+    Example:
+        >>> import vapor
+        >>> storeys = vapor.Storeys(heights_m=(1.6, 4.6, 7.6))
+        >>> storeys.of(vapor.Poses.from_quat_xyzw([[0, 0, 1.5], [0, 0, 5.0]], [[0, 0, 0, 1], [0, 0, 0, 1]]))
+        array([0, 1])
     """
 
     heights_m: tuple[float, ...]

@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float64, Int64
 
 from filtering.config import GapConfig
 from filtering.measurement_noise import PLACE, MeasurementNoise
+from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 
@@ -32,7 +33,7 @@ class SearchStep:
 
     Attributes:
         posterior: Of the image; uninformative where it has none.
-        previous_from_current: Motion since the image before, one pose; None where it is unknown.
+        odometry: Motion since the image before, less the error of its scale; None where it is unknown.
         elapsed_s: Seconds since the image before.
         likelihood_power: Of the image's likelihood, as of the filter, in [0, 1].
         outlier_places: Of so many an outlier shows one, as of the filter.
@@ -41,7 +42,7 @@ class SearchStep:
     """
 
     posterior: PosePosterior
-    previous_from_current: Poses | None
+    odometry: Odometry | None
     elapsed_s: float
     likelihood_power: float
     outlier_places: float
@@ -130,12 +131,14 @@ def _step_back(
 ) -> _Nodes:
     """Candidates at the image before."""
     log_value = after.log_value + _log_likelihood(following, after.poses)
-    motion, wider_m, wider_rad = following.previous_from_current, 0.0, 0.0
-    log_rate = float(np.log(kidnap_rate))
+    motion, log_rate, moved = following.odometry, float(np.log(kidnap_rate)), after.poses
     if motion is None:
         wider_m, wider_rad = (2.0 * each * following.elapsed_s for each in (gap.speed_m_per_s, gap.turn_rad_per_s))
         log_rate = 0.0 if gap.action == "forget" else log_rate
-    moved = after.poses if motion is None else after.poses @ motion.inverse()
+    else:
+        variance = motion.covariance.diagonal()
+        wider_m, wider_rad = (2.0 * float(np.sqrt(each.max())) for each in (variance[:3], variance[3:]))
+        moved = moved @ motion.previous_from_current.inverse()
     target = int(np.argmax(log_value))
     jump = float(log_value[target]) + log_rate
     off = np.asarray(log_value < jump)

@@ -60,6 +60,12 @@ class KnownHeight:
 
     Raises:
         VaporTrackError: it is not finite, or its standard deviation not positive.
+
+    Example:
+        >>> import vapor
+        >>> of_a_floor = vapor.KnownHeight(height_m=3.0, std_m=0.2)
+        >>> vapor.Vertical(heights=of_a_floor).degrees_of_freedom
+        1
     """
 
     height_m: float
@@ -87,6 +93,12 @@ class Vertical:
 
     Raises:
         VaporTrackError: a direction is not a unit vector, or a number is out of range.
+
+    Example:
+        >>> import vapor
+        >>> level = vapor.Vertical(up=(0.0, -1.0, 0.0), tilt_std_rad=0.02)  # of a camera whose y is down
+        >>> level.degrees_of_freedom
+        2
     """
 
     up: tuple[float, float, float] | None = None

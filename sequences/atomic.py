@@ -114,7 +114,8 @@ def move_in(work: Path, names: Iterable[str], *, instead_of: Iterable[str]) -> N
 
 
 def _clear(work: Path) -> None:
-    if (work / _REPLACED).is_dir() and any((work / NEW).iterdir()):
+    # One of the folders is absent where a process was killed while it removed them: what had to be put back was.
+    if all((work / folder).is_dir() for folder in (NEW, _ADDED, _REPLACED)) and any((work / NEW).iterdir()):
         _put_back(work)
     shutil.rmtree(work)
 

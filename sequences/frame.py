@@ -117,6 +117,13 @@ class Trajectory:
     Attributes:
         times_ns: Stamps in integer nanoseconds, strictly increasing.
         poses: world_from_camera, batch (n,).
+
+    Example:
+        >>> import numpy as np
+        >>> import vapor
+        >>> poses = vapor.Poses.exp(np.array([[0, 0, 0, 0, 0, 0], [0.1, 0, 0, 0, 0, 0]]))
+        >>> trajectory = vapor.Trajectory(np.array([0, 100_000_000]), poses)
+        >>> vapor.write_tum("mine.tum", trajectory)
     """
 
     times_ns: Int64[np.ndarray, " n"]

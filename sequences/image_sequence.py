@@ -20,7 +20,7 @@ from sequences.files import Rows
 from sequences.frame import ASSUMED_HZ, Camera, Frame
 from sequences.images.headers import why_skipped
 from sequences.images.undistortion import Lens, pinhole_of, same_aspect, undistorted
-from sequences.options import SequenceOptions
+from sequences.options import OdometryOrigin, SequenceOptions
 from sequences.reading.counts import NOT_INCREASING, OUTSIDE, ImageCounts
 from sequences.reading.frame_pairing import RequestedSegment
 from sequences.recordings.recording_file import SUFFIXES
@@ -55,13 +55,21 @@ class ImageSequence:
         counts: Counts of the images of the latest iteration; complete after it.
         notices: Sentences for users; complete after an iteration.
         camera: Intrinsics of the undistorted images; None where they are not stated.
-        has_odometry: False.
+        odometry_origin: None.
         has_stamps: Whether the time stamps of the images are stated; else their rate is assumed.
         num_images: Images in all, for progress; 0 where a video does not state it.
         image_description, odometry_description: None: no file states them.
+
+    Example:
+        >>> import vapor
+        >>> images = vapor.ImageSequence("images/", rate_hz=10.0)  # or a video
+        >>> for frame in images:
+        ...     frame.image.shape, frame.odometry
+        ((32, 48, 3), None)
+        ((32, 48, 3), None)
     """
 
-    has_odometry = False
+    odometry_origin: OdometryOrigin | None = None
     image_description: str | None = None
     odometry_description: str | None = None
 

@@ -18,6 +18,7 @@ from sequences.trajectories.pose_lines import require_columns
 from sequences.trajectories.pose_tables import times_beside
 
 OdometryUse = Literal["required", "auto", "optional", "ignored", "unread"]
+OdometryOrigin = Literal["recorded", "visual", "both"]
 TruePoseUse = Literal["required", "optional"]
 
 _MAX_DURATION_S = 1e9  # of a recording; NaN and infinity are none
@@ -30,14 +31,14 @@ class ReadingOptions:
     """What to read of a recording or a running system. Topics are found by their type where there is only one."""
 
     image_topic: str | None = None
-    """Topic of the images: sensor_msgs/Image or CompressedImage, foxglove.RawImage or CompressedImage; or of video:
-    foxglove.CompressedVideo, ffmpeg_image_transport's FFMPEGPacket. Of several cameras, separated by commas, the first
-    is localized. Default: all cameras whose frames tf connects, in the order of their names."""
+    """Topic of the images: sensor_msgs/Image or CompressedImage, foxglove.RawImage, CompressedImage or CompressedVideo,
+    or ffmpeg_image_transport's FFMPEGPacket. Several cameras are separated by commas, and the first one is localized.
+    Default: all cameras whose frames tf connects, in the order of their names."""
     odometry_topic: str | None = None
-    """Topic of the odometry, nav_msgs/Odometry."""
+    """Topic of the odometry, nav_msgs/Odometry. Default: the only one of that type."""
     odometry_frame: str | None = None
-    """Take the odometry from tf instead: the frame that it is in, such as odom. Default: odom, where there is no topic
-    of odometry and tf gives the camera's motion in a frame of that name."""
+    """Take the odometry from tf: the camera's motion in this frame. Default: odom, if there is no topic of odometry and
+    tf has that frame."""
     camera_info_topic: str | None = None
     """Topic of the intrinsics, sensor_msgs/CameraInfo or foxglove.CameraCalibration; '' for none. Default: the one
     beside the image topic."""
@@ -45,17 +46,23 @@ class ReadingOptions:
     """Topic of the transforms, tf2_msgs/TFMessage, with the static ones beside it: /robot1/tf, /robot1/tf_static.
     Default: /tf; where there is none, the only one whose name ends in /tf."""
     undistort: bool = True
-    """Undistort images by their intrinsics (CameraInfo, COLMAP), to those of a pinhole camera of the same size."""
+    """Remove lens distortion by the intrinsics (CameraInfo, COLMAP)."""
     camera_frame: str | None = None
     """Frame of the camera, for tf. Default: the frame in the header of the images."""
     base_from_camera: tuple[float, float, float, float, float, float, float] | None = None
-    """Pose of the camera on the robot, tx ty tz qx qy qz qw, instead of tf. The robot is the child frame of the
-    odometry; where that is not read, the frame that the true poses are of."""
+    """Pose of the camera on the robot, tx ty tz qx qy qz qw, instead of tf. The robot's frame is the child frame of the
+    odometry; without odometry, the frame of the true poses."""
     motion_noise: MotionNoise = field(default_factory=MotionNoise)
     """Noise of odometry whose messages carry no covariance (zeros, or -1 first), and of the axes that they state a
     variance of 10 or more for, a placeholder for unmeasured axes."""
+    imu_topic: str | None = None
+    """Topic of the inertial unit, sensor_msgs/Imu, whose gravity corrects the tilt; '' for none. Default: the one with
+    the most messages, where tf links it to the camera."""
+    pressure_topic: str | None = None
+    """Topic of a barometer, sensor_msgs/FluidPressure, which shows rides in lifts; '' for none."""
     stamps: Literal["header", "log"] = "header"
-    """When messages are of: by the stamps in their headers or, where those are none, by the times they were logged."""
+    """Which time a message has: the stamp in its header, or when it was logged. Messages without a stamp always have
+    the latter."""
 
     def __post_init__(self) -> None:
         for name in ("image_topic", "odometry_topic", "tf_topic"):
@@ -90,27 +97,22 @@ class SequenceOptions(ReadingOptions):
     """Topic of true poses: geometry_msgs/PoseStamped, PoseWithCovarianceStamped or TransformStamped, nav_msgs/Odometry
     or Path, foxglove.PoseInFrame or PosesInFrame; '' for none."""
     ground_truth_frame: str | None = None
-    """Take true poses from tf instead: the frame that they are in, such as map."""
+    """Take true poses from tf: the camera's poses in this frame, such as map."""
     poses: Path | None = None
-    """Take true poses from a file instead: TUM text, EuRoC's data.csv, or KITTI's with times.txt beside it."""
+    """Take true poses from a file: TUM text, EuRoC's data.csv, or KITTI's with times.txt beside it."""
     poses_columns: str | None = None
-    """Names of the columns of a file of poses in another format, as one word in quotation marks, such as "time tx ty tz
-    qw qx qy qz _": name in place of time for frames named by their stamps, _ for ignored columns."""
+    """Columns of a file of poses in another format, in quotation marks: "time tx ty tz qw qx qy qz _". `name` stands
+    for frames that are named by their stamps, _ for columns to ignore."""
     time_offset_s: float | Literal["auto"] = 0.0
     """Seconds to add to the stamps of the file of poses; auto finds them by comparing its rotation with odometry's."""
     ground_truth_child_frame: str | None = None
-    """Frame whose poses the true poses are. Default: the one that the messages name, else the camera itself."""
+    """Frame on the robot that the true poses are of. Default: the one that the messages name, else the camera's."""
     ground_truth_origin: tuple[float, float, float] | None = None
     """Point to subtract from the positions of true poses, x y z in metres: for coordinates far from zero, as of UTM."""
-    imu_topic: str | None = None
-    """Topic of the inertial unit, sensor_msgs/Imu, whose gravity corrects the tilt; '' for none. Default: the one with
-    the most messages, where tf links it to the camera."""
-    pressure_topic: str | None = None
-    """Topic of a barometer, sensor_msgs/FluidPressure, which shows rides in lifts; '' for none."""
     allow_few_images: bool = False
-    """Localize also where fewer than one image in ten can be used."""
+    """Go on even if fewer than one image in ten can be used."""
     start_s: float = 0.0
-    """Seconds after the first image at which to begin."""
+    """Begin so many seconds after the first image."""
     duration_s: float | None = None
     """Seconds to read. Default: to the end."""
 

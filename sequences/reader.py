@@ -11,7 +11,7 @@ from typing import Any
 from filtering.se3 import Poses
 from sequences.errors import NoImageError, SequenceError
 from sequences.frame import Camera, Frame
-from sequences.options import OdometryUse, SequenceOptions, TruePoseUse
+from sequences.options import OdometryOrigin, OdometryUse, SequenceOptions, TruePoseUse
 from sequences.reading.camera_info import ImageCamera
 from sequences.reading.counts import ImageCounts
 from sequences.reading.frame_pairing import FramePairing, MotionStreams
@@ -35,10 +35,18 @@ class SequenceReader:
         camera: Intrinsics of the undistorted images, as the file states their size, of the camera that is localized;
             None where it has none.
         base_from_camera: Extrinsics of the localized one, one pose; None where odometry is not read.
-        has_odometry: Whether it is read.
+        odometry_origin: "recorded" where it is read; else None.
         num_images: Images in the whole file, for progress.
         image_description: Origin of the images by the file's metadata, as `synthetic`; None where it states none.
         odometry_description: Origin of the odometry, likewise.
+
+    Example:
+        >>> import vapor
+        >>> sequence = vapor.SequenceReader("walk.mcap")
+        >>> for frame in sequence:
+        ...     image, odometry, truth = frame.image, frame.odometry, frame.world_from_camera
+        >>> sequence.num_images, sequence.odometry_origin, sequence.base_from_camera.batch_shape
+        (25, 'recorded', ())
     """
 
     def __init__(
@@ -87,7 +95,8 @@ class SequenceReader:
         self.camera = next(iter(self._lenses.values())).camera
         extrinsics = self._roles.extrinsics
         self.base_from_camera: Poses | None = extrinsics.body_from_camera if extrinsics is not None else None
-        self.has_odometry = self._roles.open_odometry() is not None
+        is_read = self._roles.open_odometry() is not None
+        self.odometry_origin: OdometryOrigin | None = "recorded" if is_read else None
         said_of_itself = self._bag.metadata.get(METADATA_NAME, {})
         self.image_description = said_of_itself.get("images")
         self.odometry_description = said_of_itself.get("odometry")

@@ -24,8 +24,11 @@ if TYPE_CHECKING:
     from filtering.storeys import Storeys as Storeys
     from filtering.vertical import KnownHeight as KnownHeight
     from filtering.vertical import Vertical as Vertical
+    from sequences.frame import Trajectory as Trajectory
     from sequences.image_sequence import ImageSequence as ImageSequence
     from sequences.reader import SequenceReader as SequenceReader
+    from sequences.trajectories.tum import read_tum as read_tum
+    from sequences.trajectories.tum import write_tum as write_tum
     from sequences.visual_odometry.odometry import VisualOdometry as VisualOdometry
     from vapor.calibration.calibrate import calibrate_model as calibrate_model
     from vapor.landmarks.verify import LandmarkVerifier as LandmarkVerifier
@@ -34,11 +37,16 @@ if TYPE_CHECKING:
     from vapor.pipeline.fuse import fuse as fuse
     from vapor.pipeline.run import run as run
     from vapor.reporting.modes_file import read_mode_trajectories as read_mode_trajectories
+    from vapor.reporting.stored_run import StoredRun as StoredRun
+    from vapor.reporting.stored_run import read_run as read_run
+    from vapor.reporting.trajectory_plot import plot_trajectories as plot_trajectories
     from vapor.robot.belief import LiveEstimate as LiveEstimate
     from vapor.robot.config import LiveConfig as LiveConfig
     from vapor.robot.live import live as live
     from vapor.tracking.mode_trajectories import ModeTrajectory as ModeTrajectory
     from vapor.tracking.mode_trajectories import mode_trajectories as mode_trajectories
+    from vapor.tracking.streams import StreamEstimate as StreamEstimate
+    from vapor.tracking.streams import StreamLocalizer as StreamLocalizer
     from vapor.training.config import TrainConfig as TrainConfig
     from vapor.training.presets import PRESETS as PRESETS
     from vapor.training.train import train as train
@@ -78,6 +86,14 @@ _MODULES = {
     "mode_trajectories": "vapor.tracking.mode_trajectories",
     "read_mode_trajectories": "vapor.reporting.modes_file",
     "run": "vapor.pipeline.run",
+    "StoredRun": "vapor.reporting.stored_run",
+    "StreamEstimate": "vapor.tracking.streams",
+    "StreamLocalizer": "vapor.tracking.streams",
+    "Trajectory": "sequences.frame",
+    "plot_trajectories": "vapor.reporting.trajectory_plot",
+    "read_run": "vapor.reporting.stored_run",
+    "read_tum": "sequences.trajectories.tum",
+    "write_tum": "sequences.trajectories.tum",
     "train": "vapor.training.train",
 }
 

@@ -48,6 +48,15 @@ class VaporObservationModel:
         camera: The camera of the images that come next.
         verifier: Makes places sharp where landmarks are seen; None where the model has none.
         verifies: Whether landmarks are looked for in the images that come next.
+
+    Example:
+        >>> import numpy as np
+        >>> import vapor
+        >>> model = vapor.VaporObservationModel.from_checkpoint("staircase")  # ships with the package; or a file
+        >>> image = np.zeros((120, 160, 3), np.uint8)
+        >>> posterior = model.observe(image, rng=np.random.default_rng(0))
+        >>> posterior.is_out_of_distribution, len(posterior.samples)
+        (True, 1000)
     """
 
     def __init__(

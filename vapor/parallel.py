@@ -10,9 +10,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from multiprocessing import resource_tracker
 from typing import TypeVar
 
-from joblib import Parallel, delayed, parallel_config
-from joblib.externals.loky.process_executor import TerminatedWorkerError
-
 Result = TypeVar("Result")
 
 _TRIES = 3
@@ -38,6 +35,8 @@ def in_parallel(function: Callable[..., Result], jobs: Iterable[tuple], processe
     if min(processes, total) < 2:
         yield from ((number, function(*job)) for number, job in left.items())
         return
+    from joblib.externals.loky.process_executor import TerminatedWorkerError  # a single process needs no joblib
+
     for tried in range(1, _TRIES + 1):
         try:
             for number, result in _batch(function, left, min(processes, total)):
@@ -55,6 +54,8 @@ def in_parallel(function: Callable[..., Result], jobs: Iterable[tuple], processe
 
 
 def _batch(function: Callable[..., Result], jobs: Mapping[int, tuple], processes: int) -> Iterator[tuple[int, Result]]:
+    from joblib import Parallel, delayed, parallel_config
+
     # Processes start with the signals blocked that are blocked here. A terminal sends its signals to all of them, but
     # this process answers and ends the others, each of which would die with a traceback.
     warnings.filterwarnings("ignore", r"\d+ tasks (which|have) ", UserWarning)  # left when it is interrupted

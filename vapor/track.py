@@ -11,20 +11,21 @@ if TYPE_CHECKING:
     from vapor.commands.terminal import Signals
 
 COMMANDS = {
+    "demo": "synthesize a sequence, localize in it with a model that ships, and compare",
     "run": "localize the camera of a recorded sequence",
     "live": "localize a robot from its ROS 2 topics while it moves, and publish its pose, tf and diagnostics",
-    "replay": "publish a recording as ROS 2 topics, in real time",
-    "demo": "synthesize a sequence, localize in it with a model that ships, and compare",
-    "fuse": "localize from pose estimates of others, given as text, and odometry",
     "inspect": "judge whether recordings are good enough to train on, and what to record again",
+    "map": "find the poses of images alone, such as videos of a place, so that `train` can use them",
     "train": "train a pose regressor on sequences or data sets with true poses",
     "calibrate": "calibrate a trained model on held-out sequences with true poses",
-    "export": "write a trained model as an ONNX file, for robots without torch",
-    "synthesize": "render a sequence through a synthetic scene",
-    "convert": "write a data set of images with true poses as an MCAP sequence",
-    "map": "make poses for images alone, such as videos of a place, for `train`",
-    "posterior": "draw the posterior of one image",
     "evaluate": "measure the trajectories of a run against true poses",
+    "fuse": "localize from pose estimates of others, given as text, and odometry",
+    "posterior": "draw the posterior of one image",
+    "replay": "publish a recording as ROS 2 topics, in real time",
+    "export": "write a trained model as an ONNX file, for robots without torch",
+    "convert": "write a data set of images with true poses as an MCAP sequence",
+    "synthesize": "render a sequence through a synthetic scene",
+    "completion": "print the script by which a shell completes commands and options",
 }
 """Name -> description; each is a module of `vapor.commands`, imported only when it is called."""
 
@@ -39,7 +40,7 @@ def main(arguments: list[str] | None = None) -> int:
         Exit status: 0 on success, 1 for input that cannot be used, 2 for wrong arguments, 128 + n when ended by signal
         n, such as 130 by Ctrl-C.
     """
-    about = "Particle-filter camera localization that consumes learned pose posteriors."
+    about = "Camera localization by a particle filter over learned pose posteriors. `vapor-track demo` is a first run."
     return run_program("vapor-track", about, COMMANDS, "vapor.commands", arguments)
 
 

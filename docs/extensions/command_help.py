@@ -9,55 +9,22 @@ Nothing is written down twice: an option that is added, renamed or given another
 from __future__ import annotations
 
 import re
-import warnings
-from argparse import Action, ArgumentParser
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from functools import cache
-from inspect import cleandoc
 from typing import Any, NoReturn
 from unittest.mock import patch
 
-import tyro
 from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
 from vapor import track
 from vapor.benchmark import __main__ as benchmark
+from vapor.commands import console
+from vapor.commands.command_help import Command, Option, heading
 
 PROGRAMS = {"vapor-track": track, "vapor-benchmark": benchmark}
 """Each with its `COMMANDS` and its `main`."""
-
-
-@dataclass(frozen=True)
-class Option:
-    """An option or an argument."""
-
-    names: Sequence[str]
-    """`--undistort` and `--no-undistort`; of an argument that has no name, nothing."""
-    value: str
-    """What it takes, such as PATH."""
-    help: str
-    default: str | None
-    """As one would type it; None where it must be given, or where `help` says it."""
-    required: bool
-
-
-@dataclass(frozen=True)
-class Command:
-    """A command."""
-
-    words: str
-    """With its program, as one types it."""
-    meaning: str
-    groups: Mapping[str, tuple[str, Sequence[Option]]]
-    """Name of a group of options, such as `localizer.gap` → what they are about, and the options."""
-
-    @property
-    def names(self) -> set[str]:
-        """The names of all options."""
-        return {name for _, options in self.groups.values() for option in options for name in option.names}
 
 
 @cache
@@ -68,45 +35,23 @@ def command(words: str) -> Command:
         words: Such as `vapor-track train`.
     """
     program, name = words.split()
-    with patch.object(tyro, "cli", _given):
+    with patch.object(console, "show_help", _given):
         try:
             PROGRAMS[program].main([name, "--help"])
         except _Given as given:
-            options, default = given.options, given.default
-    with warnings.catch_warnings():  # no other function of tyro's gives options as data
-        warnings.simplefilter("ignore", DeprecationWarning)
-        parser = tyro.extras.get_parser(options, **default)
-    return Command(words, cleandoc(options.__doc__ or ""), dict(_groups(parser)))
+            return given.command
+    raise AssertionError(f"{words} shows no help")
 
 
 class _Given(SystemExit):
     """Ends a command once it has told which options it has."""
 
-    def __init__(self, options: type, default: Mapping[str, Any]) -> None:
-        self.options, self.default = options, default
+    def __init__(self, command: Command) -> None:
+        self.command = command
 
 
-def _given(options: type, *, prog: str, args: Sequence[str], **default: Any) -> NoReturn:
-    raise _Given(options, default)
-
-
-def _groups(parser: ArgumentParser) -> Iterator[tuple[str, tuple[str, Sequence[Option]]]]:
-    for group in parser._action_groups:
-        options = [_option(action) for action in group._group_actions if action.dest != "help"]
-        if options:
-            name = (group.title or "").removesuffix(" options")
-            options.sort(key=lambda option: not option.required)
-            yield name, (group.description or "", options)
-
-
-def _option(action: Action) -> Option:
-    text = " ".join((action.help or "").split())
-    stated = re.fullmatch(r"(.*?) ?\((?:(required)|default: (.*?))\)", text)
-    text, required, default = (stated[1], stated[2] is not None, stated[3]) if stated else (text, False, None)
-    if "Default: " in text or default == "":
-        default = None
-    value = "" if action.nargs == 0 else re.sub(r"^\{None\}\|", "", str(action.metavar or ""))
-    return Option(tuple(action.option_strings), value, text, default, required)
+def _given(command: Command) -> NoReturn:
+    raise _Given(command)
 
 
 class CommandHelp(SphinxDirective):
@@ -125,11 +70,11 @@ class CommandHelp(SphinxDirective):
 
     def _parts(self, shown: Command) -> list[nodes.Node]:
         parts = self._parsed(shown.meaning)
-        parts.append(nodes.literal_block("", _usage(shown), language="text", classes=["usage"]))
+        parts.append(nodes.literal_block("", shown.usage, language="text", classes=["usage"]))
         for name, (meaning, options) in shown.groups.items():
             entries = "\n".join([f"```{{program}} {shown.words}\n```\n", *map(_entry, options)])
             content = [*self._parsed(meaning), *self.parse_text_to_nodes(entries)]
-            parts.append(self._section(_HEADINGS.get(name, f"--{name}.*"), f"{shown.words} {name}", content))
+            parts.append(self._section(heading(name), f"{shown.words} {name}", content))
         return parts
 
     def _parsed(self, text: str) -> list[nodes.Node]:
@@ -151,20 +96,9 @@ class CommandList(SphinxDirective):
         return self.parse_text_to_nodes("\n".join(entries))
 
 
-_HEADINGS = {"positional arguments": "Arguments", "options": "Options"}
-
-
-def _usage(shown: Command) -> str:
-    options = [option for _, group in shown.groups.values() for option in group]
-    arguments = [option.value for option in options if not option.names]
-    needed = [f"{option.names[0]} {option.value}" for option in options if option.names and option.required]
-    return " ".join([shown.words, *arguments, *needed, "[OPTIONS]"])
-
-
 def _entry(option: Option) -> str:
-    names = [f"{name} {option.value}".strip() for name in option.names] or [option.value]
     ending = " **Required.**" if option.required else f" *Default:* `{option.default}`" if option.default else ""
-    return f"````{{option}} {', '.join(names)}\n\n{_text(option.help)}{ending}\n````\n"
+    return f"````{{option}} {option.title}\n\n{_text(option.help)}{ending}\n````\n"
 
 
 def _text(text: str) -> str:

@@ -24,7 +24,7 @@ def setup(app: Sphinx) -> dict[str, Any]:
 
 
 def _as_restructured_text(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
-    lines[:] = map(_marked, lines)
+    lines[:] = _marked_but_for_examples(lines)
     if what in ("attribute", "property"):  # of which napoleon takes what is before a colon for the type
         lines[:] = [line.replace(": ", _COLON) for line in lines]
 
@@ -34,6 +34,15 @@ def _with_colons(app: Sphinx, what: str, name: str, obj: object, options: object
 
 
 _COLON = "\ue000"
+
+
+def _marked_but_for_examples(lines: list[str]) -> list[str]:
+    """The lines, and examples as they are: from `>>>` to the next empty line."""
+    done, is_example = [], False
+    for line in lines:
+        is_example = line.lstrip().startswith(">>>") or (is_example and line.strip() != "")
+        done.append(line if is_example else _marked(line))
+    return done
 
 
 def _marked(line: str) -> str:

@@ -1,4 +1,4 @@
-"""The samples of an inertial measurement unit in a recording, about the axes of the camera.
+"""The samples of an inertial measurement unit, about the axes of the camera, message by message.
 
 `sensor_msgs/Imu` by REP-145: specific force (up at rest) in m/s², turn rates in rad/s, and an orientation in a world
 whose z is up; a covariance that begins with -1 says that there is none.
@@ -7,21 +7,13 @@ whose z is up; a covariance that begins with -1 says that there is none.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from filtering.se3 import rotation_from_quat_xyzw
-from sequences.errors import NotFoundError, SequenceError
-from sequences.options import SequenceOptions
-from sequences.reading.extrinsics import find_extrinsics
-from sequences.reading.rig import find_cameras
-from sequences.reading.timeline import Timeline
-from sequences.recordings.bag import Bag
-from sequences.recordings.messages import frame_name
-from sequences.recordings.source import Topic, choose, first
+from filtering.so3 import rotation_from_quat_xyzw
+from sequences.inertial.rows import TimedRows
 
 STANDARD_GRAVITY = 9.80665
 """Metres per second squared."""
@@ -32,6 +24,7 @@ _ORIENTATION_RAD = 0.02  # standard deviation of tilt where none is stated
 _UNKNOWN_TILT = 0.1  # variance from which on an orientation is none, rad²
 _AGREE_RAD = 0.35  # median angle between orientation and specific force
 _FEWEST = 10
+_JUDGED_NS, _JUDGE_AGAIN_NS = 10 * 10**9, 10**9  # samples of so long before count; and for so long a judgement holds
 
 
 @dataclass(frozen=True)
@@ -44,7 +37,7 @@ class InertialSamples:
         turn_rate: rad/s, (n, 3); NaN where there is none.
         up: Up by the unit's own orientation, (n, 3); None where it has none.
         up_std_rad: Standard deviation of its tilt.
-        notices: Sentences for users.
+        usual_g: Usual length of the specific force, in units of gravity.
     """
 
     times_ns: Int64[np.ndarray, " n"]
@@ -52,80 +45,97 @@ class InertialSamples:
     turn_rate: Float64[np.ndarray, "n 3"]
     up: Float64[np.ndarray, "n 3"] | None = None
     up_std_rad: float = _ORIENTATION_RAD
-    notices: tuple[str, ...] = ()
+    usual_g: float = 1.0
 
 
-def read_inertial(path: Path, options: SequenceOptions) -> tuple[InertialSamples | None, list[str]]:
-    """The samples of a recording; None where it has none that can be used, and sentences for users.
+@dataclass(frozen=True)
+class _Judgement:
+    """What the numbers of a unit mean: see `_judged`."""
 
-    The topic is the one named, or the one with the most messages of those whose frame tf links to the camera's.
+    force_unit: float  # m/s²; NaN where the force is of no use
+    has_rates: bool
+    has_orientation: bool
+    up_std_rad: float
+    usual_g: float
+    notices: tuple[str, ...]
 
-    Args:
-        path: MCAP file, rosbag2 folder or ROS 1 bag.
-        options: Topics and frames.
 
-    Raises:
-        SequenceError: the file is damaged, or the topic that is named is missing, of another type, or not linked to the
-            camera.
+class InertialUnit:
+    """Messages of a unit in, samples out, for whole recordings and for streams alike.
+
+    What the numbers mean (g or m/s², an orientation or a driver that fills one in) is judged by all that have come
+    together, and by those of ten seconds before; in a stream anew each second.
+
+    Attributes:
+        num_taken, num_left_out, num_saturated: Numbers of messages that can be used, and cannot, and of samples at the
+            end of the sensor's range.
     """
-    bag = Bag(path, stamps=options.stamps, tf_topic=options.tf_topic)
-    if options.imu_topic == "":
-        return None, []
-    if options.imu_topic is not None:
-        named = choose(bag, "imu", ("sensor_msgs/Imu",), options.imu_topic, required=True)
-        topics = [] if named is None else [named]
-    else:
-        known = [topic for topic in bag.topics.values() if topic.read_as == "sensor_msgs/Imu" and topic.num_messages]
-        topics = sorted(known, key=lambda topic: -topic.num_messages)
-    problems: list[str] = []
-    for topic in topics:
-        try:
-            camera_from_imu = _camera_from_imu(bag, topic, options)
-        except (NotFoundError, SequenceError) as error:
-            if options.imu_topic is not None:
-                raise
-            problems.append(f"{topic.name} is not used: {str(error).removeprefix(f'{bag.path}: ')}")
-            continue
-        others = f" of {len(topics)}" if len(topics) > 1 else ""
-        found, notices = _read(bag, topic, camera_from_imu)
-        return found, [*([f"{topic.name} is the inertial unit{others} (--imu-topic)"] if others else []), *notices]
-    return None, problems
 
+    def __init__(self, name: str, camera_from_imu: Float64[np.ndarray, "3 3"]) -> None:
+        """Before the first message of a topic; `camera_from_imu` is a rotation."""
+        self.name, self._camera_from_imu = name, camera_from_imu
+        self.num_taken = self.num_left_out = self.num_saturated = 0
+        self.begin_anew()
+        self._said: dict[str, None] = {}
 
-def _camera_from_imu(bag: Bag, topic: Topic, options: SequenceOptions) -> Float64[np.ndarray, "3 3"]:
-    """The rotation from the unit's axes to the camera's."""
-    camera, where = options.camera_frame, ""
-    if not camera:
-        (localized, *_), _ = find_cameras(bag, options)
-        camera, where = first(bag, localized.image).header.frame_id, f" ({localized.name})"
-    unit = frame_name(first(bag, topic).header.frame_id)
-    mount = find_extrinsics(
-        bag, unit, frame_name(camera), body_is=f" ({topic.name})", camera_is=where, instead="--imu-topic ''"
-    )
-    return mount.body_from_camera.rotation.T
+    def begin_anew(self) -> None:
+        """Forget the samples: their clock was set."""
+        self._raw = TimedRows(14)  # force, turn rate, orientation, whether each is given, variance of tilt
+        self._given_ns: int | None = None
+        self._judgement: tuple[int, _Judgement] | None = None
 
+    def take(self, time_ns: int | None, message: Any) -> None:
+        """Take a message of a stamp; None for a stamp that is of no use, and for undecodable bytes."""
+        numbers = None if message is None or time_ns is None else _numbers(message)
+        if numbers is not None and time_ns is not None and self._raw.append(time_ns, numbers):
+            self.num_taken += 1
+        else:
+            self.num_left_out += 1
 
-def _read(
-    bag: Bag, topic: Topic, camera_from_imu: Float64[np.ndarray, "3 3"]
-) -> tuple[InertialSamples | None, list[str]]:
-    times: list[int] = []
-    rows: list[list[float]] = []
-    num_left_out = 0
-    for dated in Timeline(bag, {topic.name: None}).messages(topic.name):
-        numbers = None if dated.message is None or not dated.stamps_ns else _numbers(dated.message)
-        if numbers is None or (times and dated.stamps_ns[0][1] <= times[-1]):
-            num_left_out += 1
-            continue
-        times.append(dated.stamps_ns[0][1])
-        rows.append(numbers)
-    notices = []
-    if num_left_out:
-        notices.append(f"{num_left_out} messages of {topic.name} are unusable, or not later than those before")
-    if len(rows) < _FEWEST:
-        return None, [*notices, f"{topic.name}: {len(rows)} messages can be used, expected at least {_FEWEST}"]
-    table = np.array(rows)
-    samples = prepared(topic.name, np.array(times, np.int64), table, camera_from_imu)
-    return samples, [*notices, *samples.notices]
+    @property
+    def last_ns(self) -> int | None:
+        """Stamp of the latest message; None before any."""
+        return self._raw.last_ns
+
+    def samples(self) -> InertialSamples | None:
+        """The samples since the last call; None where there are none, or too few to judge them."""
+        times_ns, table = self._raw.times_ns, self._raw.rows
+        first = 0 if self._given_ns is None else int(np.searchsorted(times_ns, self._given_ns, side="right"))
+        if first == len(times_ns) or len(times_ns) < _FEWEST:
+            return None
+        last_ns = self._given_ns = int(times_ns[-1])
+        if self._judgement is None or last_ns - self._judgement[0] > _JUDGE_AGAIN_NS:
+            self._judgement = last_ns, _judged(self.name, table)
+            self._said |= dict.fromkeys(self._judgement[1].notices)
+        judgement = self._judgement[1]
+        force = table[:, :3] * judgement.force_unit
+        force[table[:, 10] == 0.0] = np.nan
+        saturated = _saturated(force)
+        force[saturated] = np.nan
+        self.num_saturated += int(saturated[first:].sum())
+        force, rate = force[first:], table[first:, 3:6].copy()
+        rate[(table[first:, 11] == 0.0) | (not judgement.has_rates)] = np.nan
+        up = _up_of(table[first:]) @ self._camera_from_imu.T if judgement.has_orientation else None
+        self._raw.forget_before(last_ns - _JUDGED_NS)
+        return InertialSamples(
+            times_ns[first:],
+            force @ self._camera_from_imu.T,
+            rate @ self._camera_from_imu.T,
+            up,
+            judgement.up_std_rad,
+            judgement.usual_g,
+        )
+
+    @property
+    def notices(self) -> list[str]:
+        """Sentences for users, by the messages so far."""
+        notices = []
+        if self.num_left_out:
+            notices.append(f"{self.num_left_out} messages of {self.name} are unusable, or not later than those before")
+        notices += self._said
+        if self.num_saturated:
+            notices.append(f"{self.name}: {self.num_saturated} samples are saturated, and not used")
+        return notices
 
 
 def _numbers(message: Any) -> list[float] | None:
@@ -147,43 +157,31 @@ def _numbers(message: Any) -> list[float] | None:
     return numbers if np.isfinite(numbers).all() else None
 
 
-def prepared(
-    name: str,
-    times_ns: Int64[np.ndarray, " n"],
-    table: Float64[np.ndarray, "n 14"],
-    camera_from_imu: Float64[np.ndarray, "3 3"],
-) -> InertialSamples:
-    """Samples in units of SI and about the camera's axes, of what can be used.
+def _judged(name: str, table: Float64[np.ndarray, "n 14"]) -> _Judgement:
+    """What numbers mean, by many of them.
 
     Args:
         name: Of the topic.
-        times_ns: Stamps.
         table: Force, turn rate, orientation as x y z w, whether each of these is given, variance of tilt.
-        camera_from_imu: Rotation.
     """
-    force, rate = table[:, :3].copy(), table[:, 3:6].copy()
-    force[table[:, 10] == 0.0], rate[table[:, 11] == 0.0] = np.nan, np.nan
-    notices: list[str] = []
+    force, rate, notices = table[:, :3].copy(), table[table[:, 11] != 0.0, 3:6], list[str]()
+    force[table[:, 10] == 0.0] = np.nan
     lengths = np.linalg.norm(force, axis=1)
-    usual = float(np.median(lengths[np.isfinite(lengths)])) if np.isfinite(lengths).any() else np.nan
+    usual, unit = float(np.median(lengths[np.isfinite(lengths)])) if np.isfinite(lengths).any() else np.nan, 1.0
     if _OF_GRAVITY[0] < usual < _OF_GRAVITY[1]:
         notices.append(f"{name}: a specific force of {usual:.2f} is taken for one in g, and converted to m/s²")
-        force *= STANDARD_GRAVITY
+        unit = STANDARD_GRAVITY
     elif np.isfinite(usual) and not _OF_GRAVITY[0] < usual / STANDARD_GRAVITY < _OF_GRAVITY[1]:
         notices.append(
             f"{name}: the specific force is {usual:.3g} m/s² (median), expected about {STANDARD_GRAVITY:.2f}: it is"
             " not used (a driver that takes gravity out, or another unit)"
         )
-        force[:] = np.nan
-    saturated = _saturated(force)
-    if saturated.any():
-        notices.append(f"{name}: {int(saturated.sum())} samples are saturated, and not used")
-        force[saturated] = np.nan
-    if not np.any(rate[np.isfinite(rate)]):  # a driver that fills in zeros
-        rate[:] = np.nan
-    up, std_rad = _orientation_up(table)
-    if up is not None:
-        cosine = np.vecdot(up, force) / np.maximum(np.linalg.norm(force, axis=1), 1e-12)
+        unit = np.nan
+    usual_g = usual * unit / STANDARD_GRAVITY
+    has_rates = bool(np.any(rate))  # else a driver fills in zeros
+    has_orientation, std_rad = _has_orientation(table)
+    if has_orientation:
+        cosine = np.vecdot(_up_of(table), force * unit) / np.maximum(lengths * unit, 1e-12)
         cosine = cosine[np.isfinite(cosine)]
         off_rad = float(np.arccos(np.clip(np.median(cosine), -1.0, 1.0))) if len(cosine) else 0.0
         if off_rad > _AGREE_RAD:
@@ -191,30 +189,30 @@ def prepared(
                 f"{name}: its orientation is off the specific force by {np.degrees(off_rad):.0f}° (median), and not"
                 " used"
             )
-            up = None
-    return InertialSamples(
-        times_ns,
-        force @ camera_from_imu.T,
-        rate @ camera_from_imu.T,
-        None if up is None else up @ camera_from_imu.T,
-        std_rad,
-        tuple(notices),
-    )
+            has_orientation = False
+    return _Judgement(unit, has_rates, has_orientation, std_rad, usual_g if np.isfinite(usual_g) else 1.0, (*notices,))
 
 
-def _orientation_up(table: Float64[np.ndarray, "n 14"]) -> tuple[Float64[np.ndarray, "n 3"] | None, float]:
-    """Up in the unit's axes by its orientation, and its standard deviation; None where there is none.
+def _has_orientation(table: Float64[np.ndarray, "n 14"]) -> tuple[bool, float]:
+    """Whether a unit states its orientation, and the standard deviation of the tilt.
 
     Zeros, and the identity throughout, are none: drivers fill them in.
     """
     quat, given = table[:, 6:10], table[:, 12] == 1.0
     unit = np.abs(np.linalg.norm(quat, axis=1) - 1.0) < _UNIT
     filled_in = np.ptp(quat, axis=0).max() == 0.0 and abs(quat[0, 3]) == 1.0
-    if not (given & unit).all() or filled_in or np.median(table[:, 13]) > _UNKNOWN_TILT:
-        return None, _ORIENTATION_RAD
-    rotations = rotation_from_quat_xyzw(quat / np.linalg.norm(quat, axis=1, keepdims=True))
     variance = float(np.median(table[:, 13]))
-    return rotations[:, 2, :].copy(), float(np.sqrt(variance)) if variance > 0.0 else _ORIENTATION_RAD
+    is_one = bool((given & unit).all()) and not filled_in and variance <= _UNKNOWN_TILT
+    return is_one, float(np.sqrt(variance)) if is_one and variance > 0.0 else _ORIENTATION_RAD
+
+
+def _up_of(table: Float64[np.ndarray, "n 14"]) -> Float64[np.ndarray, "n 3"]:
+    """Up about the unit's axes, by its orientation; NaN where that is none."""
+    lengths = np.linalg.norm(table[:, 6:10], axis=1, keepdims=True)
+    is_one = (table[:, 12] == 1.0) & (np.abs(lengths[:, 0] - 1.0) < _UNIT)
+    up = np.full((len(table), 3), np.nan)
+    up[is_one] = rotation_from_quat_xyzw(table[is_one, 6:10] / lengths[is_one])[:, 2, :]
+    return up
 
 
 def _saturated(force: Float64[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:

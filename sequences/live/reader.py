@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import math
-import queue
-import time
-from collections import Counter, deque
-from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import fields, replace
-from itertools import count
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -16,116 +13,21 @@ from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.errors import NotFoundError, SequenceError
 from sequences.frame import Camera, Frame
-from sequences.live.transport import Offer, Transport
-from sequences.options import ReadingOptions, SequenceOptions
+from sequences.live.sensors import LiveSensors
+from sequences.live.topic_buffer import TopicBuffer
+from sequences.options import OdometryUse, ReadingOptions, SequenceOptions, pose_of_numbers
 from sequences.reading.camera_info import ImageCamera
 from sequences.reading.counts import ImageCounts
+from sequences.reading.extrinsics import BASES, find_extrinsics
 from sequences.reading.frame_pairing import FramePairing
 from sequences.reading.rig import IMAGE_TYPES, find_cameras
 from sequences.reading.roles import Roles
 from sequences.reading.timeline import ClockOfStream, StampKind
 from sequences.recordings.messages import stamp_ns
-from sequences.recordings.source import RawMessage, Topic, choose, decode, first, namespaced_tf, stands_for
+from sequences.recordings.source import TF_STATIC, RawMessage, choose, decode, first
 
-_KEPT_IMAGES, _KEPT = 16, 2000  # messages of each topic, until the reading begins
 _MOST_WAITING = 16  # images, still encoded, for odometry to come as far
 _HEARD_EARLY = ("nav_msgs/Odometry", "sensor_msgs/CameraInfo", "tf2_msgs/TFMessage")  # some come only once
-_SETTLED_S = 1.0  # without a new topic, before the only one of its kind is chosen
-_ASK_AGAIN_S = 0.2
-_REPORT_AGAIN_S = 5.0
-
-
-class TopicBuffer:
-    """A `MessageSource` that grows: a topic is subscribed when it is first asked for.
-
-    `topics` are published now, without Foxglove's transforms, which ROS's stand for.
-    """
-
-    def __init__(self, transport: Transport, events: queue.SimpleQueue[Any], *, options: ReadingOptions) -> None:
-        """Listen to a system, whose messages go to `events`."""
-        self.path = Path(transport.name)
-        self.topics: dict[str, Topic] = {}
-        self._transport, self._events, self._options = transport, events, options
-        self._tf: dict[str, str] = {}
-        self._offered: dict[str, list[Offer]] = {}  # by their own names
-        self._offers: dict[str, list[Offer]] = {}  # by the names that readers use
-        self._heard_from: dict[str, Offer] = {}
-        self._kept: dict[str, deque[tuple[int, RawMessage]]] = {}
-        self._numbers = count()
-
-    def refresh(self) -> bool:
-        """Update the topics that are published; true where they have changed."""
-        offered: dict[str, list[Offer]] = {}
-        for offer in self._transport.offers():
-            offered.setdefault(offer.topic, []).append(offer)
-        if offered == self._offered:
-            return False
-        self._offered = offered
-        topics = [Topic(name, same[0].type, 1, "cdr") for name, same in offered.items()]
-        known = {t.name: t for t in topics if not t.is_misnamed and not t.is_foxglove_tf}
-        try:
-            self._tf = namespaced_tf(known, self._options.tf_topic, self.path)
-        except NotFoundError:  # not yet
-            self._tf = {}
-        called = {each: name for name, topic in known.items() for each in stands_for(topic, self._tf)}
-        self.topics = {each: replace(known[name], name=each) for each, name in called.items()}
-        self._offers = {each: offered[name] for each, name in called.items()}
-        for name, before in list(self._heard_from.items()):
-            (now, *_) = self._offers.get(name, [before])
-            if now.type == before.type and now != before:  # a publisher that came back with another QoS may not match
-                self._hear(name, now)
-        return True
-
-    def __contains__(self, topic: str) -> bool:
-        return topic in self.topics
-
-    def messages(
-        self, topics: Collection[str], *, until: Callable[[int], bool] = lambda log_time_ns: False
-    ) -> Iterator[RawMessage]:
-        """Messages of some topics so far, see `MessageSource`; subscribes them. Raises SequenceError as `hear`."""
-        found: list[tuple[int, RawMessage]] = []
-        for name in self.topics.keys() & set(topics):
-            self.hear(name)
-            found += self._kept[name]
-        for _, raw in sorted(found, key=lambda numbered: numbered[0]):
-            if not until(raw.log_time_ns):
-                yield raw
-
-    def hear(self, topic: str) -> None:
-        """Subscribe a topic that is published. Raises SequenceError where it has several types."""
-        if topic in self._heard_from:
-            return
-        offers = self._offers[topic]
-        if len(offers) > 1:
-            types = " and of ".join(offer.type for offer in offers)
-            raise SequenceError(f"{self.path}: {topic} has messages of {types}, expected one type a topic")
-        size = _KEPT_IMAGES if self.topics[topic].read_as in IMAGE_TYPES else _KEPT
-        self._kept[topic] = deque(maxlen=size)
-        self._hear(topic, offers[0])
-
-    def _hear(self, topic: str, offer: Offer) -> None:
-        self._heard_from[topic] = offer
-        self._transport.subscribe(offer, self._events.put)
-
-    def keep(self, raw: RawMessage) -> None:
-        """Take a message, until `kept` is called."""
-        raw = self.stamped(raw)
-        if (kept := self._kept.get(raw.topic)) is not None:
-            kept.append((next(self._numbers), raw))
-
-    def kept(self) -> list[RawMessage]:
-        """The kept messages, in the order in which they came; none is kept from now on."""
-        found = sorted((numbered for kept in self._kept.values() for numbered in kept), key=lambda each: each[0])
-        self._kept = {}
-        return [raw for _, raw in found]
-
-    def stamped(self, raw: RawMessage) -> RawMessage:
-        """A message with the name and the stamps of the options."""
-        return raw._replace(restamped=self._options.stamps == "log", topic=self._tf.get(raw.topic, raw.topic))
-
-    def fixed_links(self) -> frozenset[tuple[str, str]]:
-        """None, as Foxglove's transforms are not read."""
-        return frozenset()
 
 
 class LiveReader:
@@ -137,6 +39,8 @@ class LiveReader:
         streamed: Names of the topics whose messages it takes.
         readings: Number of readings so far.
         lenses: Of the cameras by name, that of the localized one first.
+        base_from_camera: Extrinsics of the camera that is localized, one pose.
+        sensors: The inertial unit and the barometer.
     """
 
     def __init__(
@@ -146,11 +50,16 @@ class LiveReader:
         *,
         late_window_s: float = 0.0,
         usual_cameras: Sequence[str] = (),
+        odometry: OdometryUse = "required",
     ) -> None:
         """Find topics, intrinsics and extrinsics in the messages so far.
 
-        An image that is older than the latest frame by at most `late_window_s` still becomes a frame. Where several
-        topics have images and none is named, those of `usual_cameras` are read.
+        Args:
+            heard: The messages.
+            options: What to read.
+            late_window_s: An image that is older than the latest frame by at most so much still becomes a frame.
+            usual_cameras: Topics that are read where several have images and none is named.
+            odometry: Whether it is "required", or "ignored".
 
         Raises:
             NotFoundError: something is not there yet.
@@ -166,6 +75,7 @@ class LiveReader:
         for topic in heard.topics.values():
             if topic.read_as in _HEARD_EARLY:
                 heard.hear(topic.name)
+        LiveSensors.hear(heard, options)
         for name in options.image_topics or usual:
             if name in heard.topics and heard.topics[name].read_as in IMAGE_TYPES:
                 heard.hear(name)
@@ -173,7 +83,9 @@ class LiveReader:
         cameras, _ = find_cameras(heard, reading, usual)
         for camera in cameras:
             first(heard, camera.image)  # whose header names the frame of the camera
-        self.roles = Roles(heard, reading, "required", "optional", usual_cameras=usual)
+        self.roles = Roles(heard, reading, odometry, "optional", usual_cameras=usual)
+        self.base_from_camera = self._find_base(options)
+        self.sensors = LiveSensors(heard, options, self.roles)
         self.lenses = {
             camera.name: ImageCamera(heard, camera.info, camera.image, undistort=options.undistort)
             for camera in self.roles.cameras
@@ -202,10 +114,22 @@ class LiveReader:
         return next(iter(self.lenses.values())).camera
 
     @property
-    def base_from_camera(self) -> Poses:
-        """Extrinsics of the camera that is localized, one pose."""
-        assert self.roles.extrinsics is not None
-        return self.roles.extrinsics.body_from_camera
+    def has_odometry(self) -> bool:
+        """Whether it reads odometry."""
+        return self.roles.extrinsics is not None
+
+    def _find_base(self, options: ReadingOptions) -> Poses:
+        """The camera on the robot; without odometry on base_link, or else the robot is the camera."""
+        if self.roles.extrinsics is not None:
+            return self.roles.extrinsics.body_from_camera
+        if options.base_from_camera is not None:
+            return pose_of_numbers(options.base_from_camera)
+        if TF_STATIC in self.heard:
+            first(self.heard, self.heard.topics[TF_STATIC])  # which comes as soon as it is subscribed
+        for base in BASES:
+            with suppress(NotFoundError):
+                return find_extrinsics(self.heard, base, self.roles.camera_frame).body_from_camera
+        return Poses.identity()
 
     @property
     def counts(self) -> ImageCounts:
@@ -235,8 +159,9 @@ class LiveReader:
         return self.odometry_ns != before_ns or self.readings != reading
 
     def _take(self, raw: RawMessage) -> None:
-        raw = self.heard.stamped(raw)
+        raw = self.heard.keep(raw)
         if raw.topic not in self.streamed:
+            self.sensors.take(raw)
             return
         message = decode(self.heard, raw, tolerate=True)
         is_image = raw.topic in self.lenses
@@ -294,9 +219,27 @@ class LiveReader:
 
         It may be older than the last frame; its odometry then leads from the frame before it in time.
         """
+        self._forget_arrivals()
+        return self._pairing.newest_frame()
+
+    def take_in_order(self) -> None:
+        """Take no image from now on that is older than the latest frame."""
+        self._late_ns = self._pairing.frames.late_ns = 0
+
+    def ready_frames(self) -> Iterator[Frame]:
+        """All images that odometry has reached and that were not returned before, in order of time."""
+        self._forget_arrivals()
+        return self._pairing.ready_frames()
+
+    def give_up(self, reason: str) -> None:
+        """Count a frame of this reading as skipped after all."""
+        counts = self._pairing.skipped.counts
+        counts.used -= 1
+        counts.skipped[reason] += 1
+
+    def _forget_arrivals(self) -> None:
         while len(self._arrived_ns) > 2 * _MOST_WAITING:
             del self._arrived_ns[next(iter(self._arrived_ns))]
-        return self._pairing.newest_frame()
 
     def arrived_ns(self, time_ns: int) -> int | None:
         """Log time of one of the latest images, by its stamp; None of others."""
@@ -306,13 +249,18 @@ class LiveReader:
     @property
     def frame_ns(self) -> int | None:
         """Stamp at which the next motion begins: the latest of a frame, or a later one given to `settle`."""
-        return self._pairing.previous_ns
+        return self._pairing.frames.latest_ns
 
     @property
     def odometry_ns(self) -> int | None:
         """Stamp of the latest odometry of this reading; None before any came."""
         span = self._pairing.motion.odometry_span_ns
         return None if span is None else span[1]
+
+    @property
+    def latest_ns(self) -> int | None:
+        """The same; without odometry the stamp of the latest frame."""
+        return self.odometry_ns if self.has_odometry else self.frame_ns
 
     def odom_from_base(self, time_ns: int) -> Poses | None:
         """Pose of the base in the frame of the odometry, one pose; None where it is not known."""
@@ -322,54 +270,9 @@ class LiveReader:
         return motion.odom_from_base(time_ns - len(self.lenses)) if pose is None and len(self.lenses) > 1 else pose
 
     def moved_until(self, time_ns: int) -> Odometry | None:
-        """See `FramePairing.moved_until`."""
-        return self._pairing.moved_until(time_ns)
+        """See `FrameTimes.moved_until`."""
+        return self._pairing.frames.moved_until(time_ns)
 
     def settle(self, time_ns: int) -> None:
-        """See `FramePairing.settle`."""
-        self._pairing.settle(time_ns)
-
-
-def open_live(
-    transport: Transport,
-    events: queue.SimpleQueue[Any],
-    options: ReadingOptions,
-    *,
-    admit: Callable[[Any], RawMessage | None],
-    waiting: Callable[[str], None],
-    late_window_s: float = 0.0,
-    usual_cameras: Sequence[str] = (),
-) -> LiveReader:
-    """Wait until everything that a reading needs is there; returns its reader, with all messages so far taken.
-
-    `events` receives the messages of the system, and other events. `admit` returns the message of an event to keep, or
-    None; it may raise to end the wait. `waiting` is called with the missing thing, at first and every five seconds.
-    `late_window_s` and `usual_cameras` are as of `LiveReader`.
-    Raises SequenceError where something cannot be used, or there is a choice to make.
-    """
-    heard = TopicBuffer(transport, events, options=options)
-    changed_s, reported_s = time.monotonic(), -math.inf
-    while True:
-        if heard.refresh():
-            changed_s = time.monotonic()
-        problem = None  # not known before topics have settled
-        if time.monotonic() - changed_s >= _SETTLED_S:
-            try:
-                reader = LiveReader(heard, options, late_window_s=late_window_s, usual_cameras=usual_cameras)
-            except NotFoundError as error:
-                problem = str(error).removeprefix(f"{heard.path}: ")
-            else:
-                for raw in heard.kept():
-                    reader.take(raw)
-                return reader
-        if problem is not None and time.monotonic() - reported_s >= _REPORT_AGAIN_S:
-            reported_s = time.monotonic()
-            waiting(problem)
-        again_s = time.monotonic() + _ASK_AGAIN_S
-        while (left_s := again_s - time.monotonic()) > 0:
-            try:
-                event = events.get(timeout=left_s)
-            except queue.Empty:
-                break
-            if (raw := admit(event)) is not None:
-                heard.keep(raw)
+        """See `FrameTimes.settle`."""
+        self._pairing.frames.settle(time_ns)

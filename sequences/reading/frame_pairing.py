@@ -6,19 +6,19 @@ Of a recording, each topic beside the images is read as far as an image needs it
 from __future__ import annotations
 
 import heapq
-from bisect import bisect_left, bisect_right
+from bisect import bisect_left
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from itertools import count
 from typing import Any, NamedTuple
 
-from filtering.motion import Odometry
 from sequences.errors import SequenceError
 from sequences.frame import Frame
 from sequences.images.headers import why_skipped
 from sequences.images.video import Picture
 from sequences.reading.camera_info import ImageCamera
 from sequences.reading.counts import NOT_COME, NOT_INCREASING, ODD, OUTSIDE, OVERTAKEN, SkipCounter, uncovered
+from sequences.reading.frame_times import FrameTimes
 from sequences.reading.motion import MotionOfCamera, odometry_apart
 from sequences.reading.roles import Roles
 from sequences.reading.timeline import Dated, Timeline
@@ -56,21 +56,11 @@ class _Taken(NamedTuple):
     picture: Picture
 
 
-class _FrameTime(NamedTuple):
-    time_ns: int  # of the frame
-    taken_ns: int  # of its image
-    covered: bool  # by odometry
-    camera: str  # '' for a time without an image
-
-
-def _taken_ns(frame: _FrameTime) -> int:
-    return frame.taken_ns
-
-
 class FramePairing:
     """Messages in, in the order of a recording; frames out, in the order of their stamps but for late ones.
 
     Attributes:
+        frames: Times of the latest frames, and the motion between them.
         reaches: Whether odometry and true poses have come as far as a stamp; `MotionStreams` reads on first.
         frames_span_ns: Stamps of the first and the last frame; None before any.
         used: How many images of each camera became frames.
@@ -98,12 +88,13 @@ class FramePairing:
             most_waiting: Images held, still encoded, until odometry and true poses reach them.
             lateness_ns: Images are held until one so much later has come, to order them by their stamps.
             over_gaps: Whether odometry leads over times without messages.
-            late_ns: An image that is older than the latest frame, by at most so much, still becomes a frame.
+            late_ns: See `FrameTimes`.
         """
-        self._most_waiting, self._lateness_ns, self._late_ns = most_waiting, lateness_ns, late_ns
+        self._most_waiting, self._lateness_ns = most_waiting, lateness_ns
         self.skipped = SkipCounter(num_images)
         self.segment = RequestedSegment(begin_ns, roles.options.start_s, roles.options.duration_s)
         self.motion = MotionOfCamera(roles, self.skipped, over_gaps=over_gaps)
+        self.frames = FrameTimes(self.motion, late_ns)
         self.reaches: Callable[[int], bool] = self.motion.reaches
         self._roles, self._lenses = roles, lenses
         self._counts = self.skipped.counts
@@ -120,8 +111,6 @@ class FramePairing:
         self._numbers = count()
         self._images_ns: tuple[int, int] | None = None  # earliest and latest stamp
         self._overtaken: list[_Taken] = []  # by a newer frame, in the order of stamps
-        # In order: those that a late image may follow, and the latest.
-        self._frames: list[_FrameTime] = []
         self.frames_span_ns: tuple[int, int] | None = None
 
     def take(self, raw: RawMessage, message: Any) -> None:
@@ -208,7 +197,7 @@ class FramePairing:
             newest = {taken.camera: number for number, taken in enumerate(ready)}
             turn = min(newest, key=lambda camera: self._turn(ready[newest[camera]]))
             frame = self._frame_asked_for(ready.pop(newest[turn]))
-        after = bisect_left(ready, self._earliest_ns, key=lambda taken: taken.picture.time_ns)
+        after = bisect_left(ready, self.frames.earliest_ns, key=lambda taken: taken.picture.time_ns)
         self._overtaken = ready[max(after, len(ready) - self._most_waiting) :]
         self._counts.skipped[OVERTAKEN] += len(ready) - len(self._overtaken)
         return frame
@@ -217,18 +206,6 @@ class FramePairing:
         """A key for the cameras' newest images: new ones first, that of the camera first whose last frame is oldest."""
         last_ns, time_ns = self._last_ns.get(newest.camera, -1), newest.picture.time_ns
         return time_ns <= last_ns, last_ns if time_ns > last_ns else -time_ns
-
-    @property
-    def previous_ns(self) -> int | None:
-        """Latest stamp of a frame, or a later one given to `settle`; None before any."""
-        return self._frames[-1].time_ns if self._frames else None
-
-    @property
-    def _earliest_ns(self) -> int:
-        """Stamp from which on an image becomes a frame."""
-        if not self._frames:
-            return -(1 << 63)
-        return max(self._frames[0].taken_ns, self._frames[-1].taken_ns - self._late_ns)
 
     def drop_overtaken(self) -> None:
         """Skip the oldest of the images that wait where there are too many: newer ones are asked for, but not yet."""
@@ -287,9 +264,7 @@ class FramePairing:
         taken_ns = picture.time_ns
         if picture.skipped:
             return self.skipped.image(picture.skipped, taken_ns)
-        at = bisect_right(self._frames, taken_ns, key=_taken_ns)
-        known = self._frames[bisect_left(self._frames, taken_ns, key=_taken_ns) : at]
-        if taken_ns < self._earliest_ns or any(frame.camera == name for frame in known):
+        if not self.frames.admits(taken_ns, name):
             return self.skipped.image(NOT_INCREASING, taken_ns)
         covered = self.motion.covers(taken_ns)
         if self._roles.odometry_required and not covered:
@@ -298,16 +273,13 @@ class FramePairing:
             image = picture.decode()
         except SequenceError as error:
             return self.skipped.image(why_skipped(error), taken_ns, str(error))
-        # Cameras take images at the same time; every frame has a time of its own.
-        time_ns = max([taken_ns, *(frame.time_ns + 1 for frame in self._frames[at - 1 : at])])
-        odometry = self._odometry_until(taken_ns, self._frames[:at]) if covered else None
         truth = self.motion.true_pose(taken_ns)
-        self._frames.insert(at, _FrameTime(time_ns, taken_ns, covered, name))
+        odometry = self.frames.motion_until(taken_ns)
+        time_ns = self.frames.add(taken_ns, name)
         self._last_ns[name] = max(taken_ns, self._last_ns.get(name, taken_ns))
-        followed = bisect_left(self._frames, self._frames[-1].taken_ns - self._late_ns, key=_taken_ns) - 1
-        del self._frames[: max(followed, 0)]
-        self.motion.forget_before(self._frames[0].taken_ns)
-        self.frames_span_ns = (self.frames_span_ns[0] if self.frames_span_ns else taken_ns, self._frames[-1].taken_ns)
+        latest_ns = self.frames.latest_taken_ns
+        assert latest_ns is not None
+        self.frames_span_ns = (self.frames_span_ns[0] if self.frames_span_ns else taken_ns, latest_ns)
         image, camera = self._lenses[name].seen(image, taken_ns)
         if len(self._roles.cameras) == 1:
             return Frame(time_ns, image, odometry, truth, camera)
@@ -315,24 +287,6 @@ class FramePairing:
         mount = None if role is self._roles.cameras[0] else role.mount.body_from_camera
         truth = truth if truth is None or mount is None else truth @ mount
         return Frame(time_ns, image, odometry, truth, camera, camera_name=name, reference_from_camera=mount)
-
-    def _odometry_until(self, time_ns: int, before: Sequence[_FrameTime]) -> Odometry | None:
-        """Motion since the last of the frames before, where odometry covers that."""
-        if not before or not before[-1].covered:
-            return None
-        return self.motion.odometry_between(before[-1].taken_ns, time_ns)
-
-    def moved_until(self, time_ns: int) -> Odometry | None:
-        """Motion of the camera since the last frame, for use between images; None where it is unknown."""
-        previous_ns = self.previous_ns
-        if previous_ns is None or time_ns <= previous_ns or not self.motion.covers(time_ns):
-            return None
-        return self._odometry_until(time_ns, self._frames)
-
-    def settle(self, time_ns: int) -> None:
-        """Begin the next motion there, as at a frame; earlier images are then too late."""
-        self._frames = [_FrameTime(time_ns, time_ns, self.motion.covers(time_ns), "")]
-        self.motion.forget_before(time_ns)
 
     def account_for_the_rest(self) -> None:
         """Count images that were not read as outside the segment. Raises SequenceError where one is missing."""
@@ -382,7 +336,7 @@ class MotionStreams:
         self._pairing.take_dated(dated)
         self._num_read += 1
         # After the first frame, odometry since the latest one will be asked for.
-        if self._num_read % _FORGET_EVERY == 0 and self._pairing.previous_ns is None:
+        if self._num_read % _FORGET_EVERY == 0 and self._pairing.frames.latest_ns is None:
             read_ns = (each.latest_ns for each in self._cursors if not each.is_over)
             self._pairing.motion.forget_before(min(read_ns, default=time_ns) - _HORIZON_NS)
 

@@ -51,7 +51,8 @@ class Roles:
         self.tree_odometry: PoseRoute | None = None
         self.extrinsics: Extrinsics | None = None
         given = options.base_from_camera
-        mount = CameraMount(self._camera_frame(), base_from_camera=None if given is None else pose_of_numbers(given))
+        self.camera_frame = self._find_camera_frame()  # of tf; '' where it is unknown
+        mount = CameraMount(self.camera_frame, base_from_camera=None if given is None else pose_of_numbers(given))
         if odometry != "unread":
             try:
                 mount = self._find_odometry(mount)
@@ -78,7 +79,7 @@ class Roles:
             return self.tree_odometry.open()
         return None if self.odometry is None else odometry_of_topic(self.odometry)
 
-    def _camera_frame(self) -> str:
+    def _find_camera_frame(self) -> str:
         if self.options.camera_frame:
             return frame_name(self.options.camera_frame)
         try:

@@ -8,8 +8,6 @@ from itertools import pairwise
 from typing import TypeAlias
 
 import numpy as np
-from embreex.mesh_construction import TriangleMesh
-from embreex.rtcore_scene import EmbreeScene
 from jaxtyping import Bool, Float, Float32, Float64, Int64
 
 from sequences.rendering.texture import Material
@@ -146,6 +144,9 @@ class Tracer:
     """A scene's triangles in Embree's acceleration structure."""
 
     def __init__(self, geometry: Geometry):
+        from embreex.mesh_construction import TriangleMesh
+        from embreex.rtcore_scene import EmbreeScene
+
         self._scene = EmbreeScene()
         self._mesh = TriangleMesh(self._scene, geometry.triangles().astype(np.float32))
 

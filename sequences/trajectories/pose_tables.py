@@ -10,7 +10,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from filtering.errors import quoted
-from filtering.se3 import Poses, nearest_rotation
+from filtering.se3 import Poses
+from filtering.so3 import nearest_rotation
 from sequences.errors import SequenceError
 from sequences.files import Rows, read_rows
 from sequences.frame import Trajectory

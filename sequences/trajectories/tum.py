@@ -18,7 +18,7 @@ from sequences.values import parse_numbers, parse_time_ns
 _COLUMNS = "time tx ty tz qx qy qz qw"
 
 
-def read_tum(path: Path, rows: Rows | None = None) -> Trajectory:
+def read_tum(path: Path | str, rows: Rows | None = None) -> Trajectory:
     """Read a trajectory; lines that start with # are comments.
 
     Args:
@@ -28,6 +28,12 @@ def read_tum(path: Path, rows: Rows | None = None) -> Trajectory:
     Raises:
         SequenceError: the file is missing or empty, a line has other than eight numbers, a value is not finite or
             beyond what a pose has, a quaternion has no length, or times do not increase.
+
+    Example:
+        >>> import vapor
+        >>> trajectory = vapor.read_tum("truth.tum")
+        >>> trajectory.times_ns.dtype, trajectory.poses.translation.shape
+        (dtype('int64'), (25, 3))
     """
     path = Path(path)
     rows = rows or Rows(tolerant=False)
@@ -45,15 +51,22 @@ def _read_row(line: str, where: str) -> tuple[int, list[float]]:
     return parse_time_ns(fields[0], where), usable_pose(values, where, _COLUMNS)
 
 
-def write_tum(path: Path, trajectory: Trajectory) -> None:
+def write_tum(path: Path | str, trajectory: Trajectory) -> None:
     """Write a trajectory, whole or not at all; times to the nanosecond, poses to nine decimals.
 
     Raises VaporTrackError where a pose is not finite.
+
+    Example:
+        >>> import vapor
+        >>> trajectory = vapor.read_tum("truth.tum")
+        >>> vapor.write_tum("mine.tum", trajectory)  # then `evo_ape tum truth.tum mine.tum`
+        >>> len(vapor.read_tum("mine.tum"))
+        25
     """
     require_sound(trajectory.poses)
     table = np.concatenate([trajectory.poses.translation, trajectory.poses.as_quat_xyzw()], axis=1)
     table += 0.0  # −0 becomes 0
-    with atomic_output(path) as partial, open(partial, "w", encoding="ascii") as file:
+    with atomic_output(Path(path)) as partial, open(partial, "w", encoding="ascii") as file:
         for time_ns, row in zip(trajectory.times_ns, table, strict=True):
             file.write(f"{format_time(int(time_ns))} {' '.join(f'{value:.9f}' for value in row)}\n")
 

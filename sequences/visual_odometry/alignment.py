@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from filtering.se3 import Poses, skew
+from filtering.se3 import Poses
+from filtering.so3 import skew
 from sequences.visual_odometry.tracks import LEAST_DEPTH, KeyFrame, Tracks, pixel_jacobian, project
 
 _ITERATIONS, _AT_LEAST, _CONVERGED = 10, 3, 1e-4

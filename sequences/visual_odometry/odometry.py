@@ -34,10 +34,11 @@ _UNKNOWN = 0.7  # standard deviation of an unknown inverse depth, over its mean
 _KNOWN = 0.3  # below, a depth is known
 _NEIGHBOURS, _LEAST_KNOWN = 5, 10
 _LEAK = 0.2  # of the usual depth in that of a new feature: a unit that runs away comes back
-_SPEED_UP, _TURN_UP = 3.0, 20.0  # depths / s² and rad / s², standard deviations of the accelerations
+_UNIT = 0.1  # of the logarithm of the usual depth in that of the map's unit, at each key frame: likewise
+_SPEED_UP, _TURN_UP = 1.0, 7.0  # depths / s² and rad / s², standard deviations of the accelerations
 _FARTHEST_PX = 80.0  # of a prediction from where the feature was
 _MOST_LOST = 0.8  # of the features in one image: another scene
-_INFLATION, _BY_SURPRISE = 1.0, 0.5  # of the covariance, measured on recordings
+_INFLATION, _BY_SURPRISE = 1.3, 0.5  # of the covariance, measured on recordings
 _PER_SQRT_M = 0.04  # standard deviation that grows with the square root of the distance
 _FIRST_SURPRISE, _MOST_SURPRISE = 3.0, 20.0
 _FIRST_COST = 1.5
@@ -60,6 +61,14 @@ class VisualOdometry:
 
     Source: keyframe-based monocular odometry as of Klein and Murray, "Parallel tracking and mapping for small AR
     workspaces", ISMAR 2007; inverse depths as of Civera et al., T-RO 2008.
+
+    Example:
+        >>> import vapor
+        >>> images = vapor.ImageSequence("room/", rate_hz=10.0)
+        >>> odometry = vapor.VisualOdometry(images.camera)
+        >>> motions = [odometry.step(frame.image, frame.time_ns) for frame in images]
+        >>> motions[0] is None  # of the first image
+        True
     """
 
     bias: ClassVar[OdometryBias] = OdometryBias(scale=1.0, relative_drift=1.0, time_s=5.0, scale_time_s=200.0)
@@ -227,6 +236,7 @@ class VisualOdometry:
         elif self._needs_key_frame():
             self._add_key_frame(grey)
             self._adjust()
+            self._rescale()
 
     def _find_depths(self, grey: Grey) -> None:
         first = self._key_frames[0]
@@ -289,6 +299,20 @@ class VisualOdometry:
         nearest = np.argpartition(distances, _NEIGHBOURS, axis=1)[:, :_NEIGHBOURS]
         return np.median(known.inverse_depth[nearest], axis=1) ** (1.0 - _LEAK) * (1.0 / _USUAL_DEPTH) ** _LEAK
 
+    def _rescale(self) -> None:
+        """Move the unit of the map a little to where the scene is as far away as is usual: else it would run away."""
+        known = self._tracks.variance < np.square(_KNOWN * self._tracks.inverse_depth)
+        if known.sum() <= _LEAST_KNOWN:
+            return
+        times = float(np.median(self._tracks.inverse_depth[known]) * _USUAL_DEPTH) ** _UNIT
+        self._tracks = replace(
+            self._tracks,
+            inverse_depth=self._tracks.inverse_depth / times,
+            variance=self._tracks.variance / times**2,
+        )
+        self._key_frames = tuple(replace(each, pose=_scaled(each.pose, times)) for each in self._key_frames)
+        self._pose, self._motion = _scaled(self._pose, times), _scaled(self._motion, times)
+
     def _adjust(self) -> None:
         before = self._pose
         self._tracks, self._key_frames = adjust(self._tracks, self._key_frames, self._focal, self._centre)
@@ -298,6 +322,10 @@ class VisualOdometry:
             squared = corrected @ np.linalg.solve(self._since_key_frame + 1e-8 * np.eye(6), corrected)
             self._surprise += _FOLLOWS * (min(float(squared) / 6.0, _MOST_SURPRISE) - self._surprise)
         self._since_key_frame = np.zeros((6, 6))
+
+
+def _scaled(pose: Poses, times: float) -> Poses:
+    return Poses(pose.rotation, times * pose.translation)
 
 
 def _require_image(image: np.ndarray, camera: Camera) -> None:

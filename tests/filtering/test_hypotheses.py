@@ -19,7 +19,7 @@ from filtering.hypotheses import (
 from filtering.measurement_noise import MeasurementNoise
 from filtering.mixture_reduction import reduce_mixture
 from filtering.motion import Odometry, OdometryBias
-from filtering.prediction import across_gap, motion_of_state, predict
+from filtering.prediction import Gap, across_gap, motion_of_state, predict
 from filtering.se3 import Poses
 from tests.helpers.simulation import motion, seen_at
 
@@ -134,7 +134,7 @@ def test_many_hypotheses_move_as_the_transition_of_the_state_says():
 
 def test_no_direction_is_known_less_than_none_after_an_unknown_motion():
     velocity = GapConfig(speed_m_per_s=1e3, turn_rad_per_s=300.0).velocity
-    wide = across_gap(with_drift(bank(2), np.zeros(6), np.eye(6)), velocity, 1.0, [1.0])
+    wide = across_gap(with_drift(bank(2), np.zeros(6), np.eye(6)), Gap.of(None, 1.0, velocity), [1.0])
     np.testing.assert_allclose(np.sqrt(wide.covariance[0, range(3, 6), range(3, 6)]), 2.0)
     assert np.linalg.eigvalsh(wide.covariance).min() > -1e-9
 

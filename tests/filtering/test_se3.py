@@ -5,6 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy.linalg import expm
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
@@ -57,6 +58,62 @@ def test_quaternions_round_trip_in_xyzw_order(batch):
     np.testing.assert_array_equal(poses.as_quat_xyzw(known_valid=True), poses.as_quat_xyzw())
     quarter_about_z = Poses.from_quat_xyzw(np.zeros(3), np.array([0, 0, np.sqrt(0.5), np.sqrt(0.5)]))
     np.testing.assert_allclose(quarter_about_z.apply(np.array([1.0, 0, 0])), [0, 1, 0], atol=1e-12)
+
+
+@pytest.mark.parametrize("batch", BATCHES)
+def test_matrices_and_rotations_of_scipy_round_trip_to_the_last_bit(batch):
+    poses = random_poses(4, *batch)
+    again = Poses.from_matrix(poses.as_matrix().tolist())
+    np.testing.assert_array_equal(again.as_matrix(), poses.as_matrix())
+    rotation = poses.as_rotation()
+    np.testing.assert_array_equal(rotation.as_quat(canonical=True), poses.as_quat_xyzw())
+    theirs = RigidTransform.from_components(poses.translation, rotation)
+    assert_same(Poses.from_matrix(theirs.as_matrix()), poses)
+    assert_same(Poses.from_rotation(poses.translation, rotation), poses)
+    assert Poses.from_rotation(poses.translation, rotation).batch_shape == batch
+
+
+def test_a_pose_is_made_of_lists():
+    quarter = Poses.from_rotation([1, 2, 3], Rotation.from_euler("z", 90, degrees=True))
+    assert_same(quarter, Poses.from_quat_xyzw([1, 2, 3], [0, 0, 1, 1]))
+    assert_same(quarter, Poses.from_matrix([[0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]]))
+
+
+def test_a_matrix_that_was_rounded_gives_the_nearest_rotation():
+    exact = random_poses(7, 20)
+    rounded = Poses.from_matrix(exact.as_matrix().round(4))
+    products = rounded.rotation @ np.swapaxes(rounded.rotation, 1, 2)
+    np.testing.assert_allclose(products, np.broadcast_to(np.eye(3), products.shape), atol=1e-14)
+    assert_same(rounded, exact, atol=2e-4)
+
+
+BAD_MATRICES = {
+    r"matrix has shape \(3, 4\), expected \(\*batch, 4, 4\)": np.eye(4)[:3],
+    "matrix 1 is .*nan.*, expected finite numbers": np.stack([np.eye(4), np.diag([1, np.nan, 1, 1])]),
+    "expected 0 0 0 1 as the last row": np.eye(4) + np.eye(4, k=-3),
+    "matrix 1 is .*, expected a rotation": np.stack([np.eye(4), np.diag([1, 1, -1, 1.0])]),
+    "matrix is .*, expected a rotation": np.diag([2, 2, 2, 1.0]),
+}
+
+
+@pytest.mark.parametrize("message", BAD_MATRICES)
+def test_what_is_no_pose_is_named(message):
+    with pytest.raises(VaporTrackError, match=message):
+        Poses.from_matrix(BAD_MATRICES[message])
+
+
+def test_rotations_and_translations_are_as_many():
+    with pytest.raises(VaporTrackError, match=r"translation has shape \(3,\), expected \(2, 3\)"):
+        Poses.from_rotation([0, 0, 0], Rotation.identity(2))
+    with pytest.raises(VaporTrackError, match=r"translation has shape \(2, 3\), expected \(3\)"):
+        Poses.from_quat_xyzw(np.zeros((2, 3)), [0, 0, 0, 1])
+
+
+def test_a_batch_is_iterated_pose_by_pose_and_a_single_pose_is_not():
+    poses = random_poses(8, 3)
+    assert_same(Poses.stack(list(poses)), poses)
+    with pytest.raises(TypeError, match="a single pose has no length"):
+        list(poses[0])
 
 
 @given(tangents, tangents)

@@ -133,6 +133,15 @@ def test_a_long_mistake_of_the_network_is_no_kidnap():
     assert (hindsight.best.poses.distance(path.truth)[0] < 0.5).all()
 
 
+def test_odometry_that_states_how_wrong_it_is_breaks_no_trajectory():
+    path = walk(60, rng=np.random.default_rng(7), speed_m=0.2)
+    far = Odometry(Poses.exp(np.array([1.5, 0.3, 0, 0, 0, 0])), np.diag([1.0] * 3 + [1e-4] * 3), 0.1)
+    path = replace(path, odometry=[far if 25 <= i < 35 else each for i, each in enumerate(path.odometry)])
+    hindsight = smoothed_along(path)
+    assert not hindsight.carried_off.any()
+    assert (hindsight.best.poses.distance(path.truth)[0] < 0.5).all()
+
+
 def test_images_without_places_are_no_measurement():
     path = walk(60, rng=np.random.default_rng(1))
     nothing = PosePosterior.uninformative(ERRORS)

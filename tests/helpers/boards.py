@@ -1,6 +1,7 @@
 """Images of textured boards in space, along known poses: for odometry from images."""
 
 from dataclasses import dataclass, field
+from functools import cache
 
 import cv2
 import numpy as np
@@ -63,3 +64,36 @@ class Room:
             image = np.where(covers > 127, drawn, image)
         noisy = image + self.noise * rng.standard_normal(image.shape)
         return np.repeat(np.clip(noisy, 0, 255).astype(np.uint8)[:, :, None], 3, axis=2)
+
+
+STEP_NS = 33_333_333
+ROOM = Room()
+
+
+def poses_of(tangents):
+    """Poses (n + 1,) along motions (n, 6), from the identity."""
+    poses = [Poses.identity()]
+    for tangent in tangents:
+        poses.append(poses[-1] @ Poses.exp(np.asarray(tangent, np.float64)))
+    return Poses.stack(poses)
+
+
+@cache
+def walk(kind, count=90):
+    """A camera's true poses along a way of its own, thirty images a second."""
+    t = np.arange(count) / 30.0
+    sway, still = 0.02 * np.sin(2.0 * t), np.zeros_like(t)
+    return poses_of(
+        np.column_stack(
+            {
+                "sideways": [np.full_like(t, 0.015), 0.1 * sway, 0.1 * sway, 0.2 * sway, 0.3 * sway, still],
+                "turning": [still, still, still, 0.3 * sway, 0.8 * sway, still],
+                "standing": [still] * 6,
+            }[kind]
+        )
+    )
+
+
+def images_of(poses, *, room=ROOM, seed=0, moved=lambda _: ()):
+    rng = np.random.default_rng(seed)
+    return [room.seen_from(poses[i], rng, moved(i)) for i in range(len(poses))]

@@ -41,7 +41,12 @@ class KnowingModel(VaporObservationModel):
         self.places, self.seconds, self.spread_m = places, seconds, spread_m
         calibration = SimpleNamespace(errors=MeasurementNoise(), odometry=None)
         self.description: Any = SimpleNamespace(
-            calibration=calibration, prior_poses=Poses.identity(3), memory_poses=None, cameras=()
+            calibration=calibration,
+            prior_poses=Poses.identity(3),
+            memory_poses=None,
+            cameras=(),
+            camera=None,
+            landmarks=None,
         )
         self.verifier = None
 
@@ -113,6 +118,24 @@ class Running:
         self.wait(lambda: len(self.estimates) >= number)
 
 
+def replayed(run: Running, walk: Path, *, images: int = 12, skip: tuple[str, ...] = ("/ground_truth/pose",)) -> None:
+    """Send a walk, and wait for each image to be localized, so that none is overtaken."""
+    sent = 0
+    run.wait_until_subscribed()
+    for raw in messages_of(walk):
+        if raw.topic in skip:
+            continue
+        if raw.topic == IMAGES:
+            if sent >= 1:
+                run.wait_for(sent)
+            if sent == images:
+                return
+            sent += 1
+        run.transport.say(raw)
+        time.sleep(0.003)
+    run.wait_for(sent)
+
+
 def knowing(model: KnowingModel) -> LoadedModel:
     return LoadedModel("knowing", Path("knowing.safetensors"), "", model)
 
@@ -121,15 +144,17 @@ def knowing(model: KnowingModel) -> LoadedModel:
 def running(
     walk: Path,
     *,
-    model: KnowingModel | None = None,
+    model: KnowingModel | LoadedModel | None = None,
+    reading: ReadingOptions | None = None,
+    without: tuple[str, ...] = (),
     on_estimate: Any = None,
     **settings: Any,
 ) -> Iterator[Running]:
-    """A session in a system that offers the topics of a walk."""
-    transport = offering(messages_of(walk))
-    loaded = knowing(model or KnowingModel())
+    """A session in a system that offers the topics of a walk, but for some."""
+    transport = offering([raw for raw in messages_of(walk) if raw.topic not in without])
+    loaded = model if isinstance(model, LoadedModel) else knowing(model or KnowingModel())
     told: list[str] = []
-    localization = LiveSession(loaded, transport, ReadingOptions(), LiveConfig(**settings), told.append)
+    localization = LiveSession(loaded, transport, reading or ReadingOptions(), LiveConfig(**settings), told.append)
     estimates: list[LiveEstimate] = []
     run = Running(transport, localization, estimates, told)
 
@@ -151,11 +176,13 @@ def running(
 
 def hurry(patch: pytest.MonkeyPatch) -> None:
     """Shorten waits of seconds to a tenth."""
-    from sequences.live import reader
+    from sequences.live import opening, sensors
 
-    patch.setattr(reader, "_SETTLED_S", 0.03)
-    patch.setattr(reader, "_ASK_AGAIN_S", 0.01)
-    patch.setattr(reader, "_REPORT_AGAIN_S", 0.1)
+    patch.setattr(opening, "_SETTLED_S", 0.03)
+    patch.setattr(opening, "_ASK_AGAIN_S", 0.01)
+    patch.setattr(opening, "_REPORT_AGAIN_S", 0.1)
+    patch.setattr(opening, "_WITHOUT_ODOMETRY_S", 0.5)
+    patch.setattr(sensors, "_SILENT_S", 0.5)
     patch.setattr(session, "_TICK_S", 0.05)
     patch.setattr(health, "_SILENT_S", 0.2)
     patch.setattr(health, "_ODOMETRY_SILENT_S", 0.1)

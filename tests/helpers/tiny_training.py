@@ -8,9 +8,9 @@ import torch
 
 from filtering.se3 import Poses
 from sequences.frame import Frame
-from vapor.regressors.loss import LossConfig
+from vapor.regressors.loss_config import LossConfig
 from vapor.regressors.network_config import NetworkConfig
-from vapor.training.augment import AugmentConfig
+from vapor.training.augment_config import AugmentConfig
 from vapor.training.config import TrainConfig
 from vapor.training.train import train_on
 

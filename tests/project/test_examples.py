@@ -64,3 +64,4 @@ def test_steps_are_plotted(example, walk_of_25, tiny_model, tmp_path):
 def test_a_loop_of_ones_own_sends_transforms_while_it_is_sure(example, walk_of_25, tiny_model):
     (line,) = example("own_loop", walk_of_25, "--model", tiny_model)
     assert " transforms sent, last status " in line
+    assert line.endswith("left out {}")

@@ -7,6 +7,23 @@ from pathlib import Path
 import pytest
 
 import vapor
+from vapor.track import COMMANDS
+
+HEAVY = {
+    "torch",
+    "gtsam",
+    "rerun",
+    "plotly",
+    "embreex",
+    "matplotlib",
+    "pandas",
+    "filterpy",
+    "joblib",
+    "openvino",
+    "pycolmap",
+    "av",
+}
+"""Packages that take tens of megabytes, or half a second: imported where they are used."""
 
 
 def test_all_public_names_are_what_their_modules_define():
@@ -32,8 +49,13 @@ def test_a_name_that_is_not_public_is_no_attribute():
 @pytest.mark.parametrize(
     ("code", "absent"),
     [
-        ("import vapor", {"torch", "numpy", "cv2", "gtsam"}),
-        ("import vapor; vapor.ParticleLocalizer, vapor.SequenceReader", {"torch"}),
+        ("import vapor", {"torch", "numpy", "scipy", "cv2", "gtsam", "rerun", "plotly", "embreex", "matplotlib"}),
+        ("import vapor; vapor.ParticleLocalizer, vapor.SequenceReader", HEAVY),
+        ("import vapor; vapor.VaporObservationModel, vapor.run, vapor.fuse", HEAVY),
+        ("import vapor; vapor.live, vapor.LiveConfig", HEAVY | {"scipy.optimize", "scipy.stats"}),
+        ("import vapor; vapor.Estimate, vapor.PosePosterior, vapor.StreamLocalizer", HEAVY),
+        ("import vapor; vapor.read_run, vapor.read_tum, vapor.plot_trajectories", HEAVY),
+        ("import vapor; vapor.TrainConfig, vapor.PRESETS", HEAVY),
         ("from filtering import storeys; storeys.peaks_of(storeys.np.arange(3.0), 1)", {"scipy.signal", "scipy.stats"}),
     ],
 )
@@ -41,6 +63,16 @@ def test_importing_loads_only_the_needed_packages(code, absent):
     code = f"import sys; {code}; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert not absent & {*done.stdout.split()}
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_loads_no_heavy_package(command):
+    code = f"import sys; from vapor.track import main; main(['{command}', '--help'])"
+    with_modules = f"import atexit, sys; atexit.register(lambda: print(*sys.modules)); {code}"
+    done = subprocess.run([sys.executable, "-c", with_modules], capture_output=True, text=True, check=True)
+    loaded = {*done.stdout.splitlines()[-1].split()}
+    assert f"vapor.commands.{command}" in loaded
+    assert not HEAVY & loaded
 
 
 def test_the_documentation_lists_the_public_names():

@@ -12,6 +12,7 @@ COMMANDS = {
     "localization": "localize many synthetic sequences, and count successes",
     "faults": "localize walks in which the camera or the odometry fails: synthetic sequences, or recordings",
     "out-of-distribution": "count images of a place that are flagged as out of distribution, and others that are not",
+    "buildings": "train a model in each of some synthetic buildings, and localize walks through it",
     "real": "localize recordings made by others: images, stored posteriors, and published estimates",
     "map": "map the images of recordings and data sets, and compare their poses with the true ones",
     "live": "measure `vapor-track live`: time from images and odometry to poses, memory, processor time",

@@ -143,7 +143,7 @@ def text(value: Number | None, form: str = ".0f", unit: str = "", factor: float 
 
 def percent(value: Number | None, digits: int = 0, unit: str = " %") -> str:
     """A fraction in per cent."""
-    return text(value, f".{digits}f", unit, 100)
+    return text(value, f".{digits}f", unit, 100.0)
 
 
 def cell(figure: Figure, form: str = ".0f", unit: str = "", factor: float = 1.0) -> str:
@@ -153,7 +153,7 @@ def cell(figure: Figure, form: str = ".0f", unit: str = "", factor: float = 1.0)
 
 def percent_cell(figure: Figure, digits: int = 0) -> str:
     """A fraction in per cent, and its interval below."""
-    return cell(figure, f".{digits}f", " %", 100)
+    return cell(figure, f".{digits}f", " %", 100.0)
 
 
 def above(shown: str, figure: Figure, number: Callable[[Number], str]) -> str:

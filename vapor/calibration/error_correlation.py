@@ -10,6 +10,8 @@ from jaxtyping import Bool, Float64, Int64
 from filtering.se3 import Poses
 from vapor.checkpoints.scene_scale import LENGTH_RAD
 
+LEAST_IMAGES = 20
+"""Least number of images for a fit of their errors."""
 LEAST_PAIRS = 50
 """Least number of pairs of images for a fit of a correlation."""
 _MOST_PAIRS = 10**6

@@ -38,8 +38,6 @@ _LIMITS = (_LOG_SPREAD, *[_LOG_NOISE_FLOOR] * 6, _LOGIT_OUTLIERS, _LOG_DEGREES_O
 _PULL, _PULLED_TO = 1e-4, np.log(0.02)  # weak prior of the noise floor's logarithms, decisive without data
 _POWERS = np.linspace(0.0, 1.5, 13)  # powers of the score that are tried
 _ALONG_A_WALK = 0.4  # of the power of weights of single images: a preference lasts for longer than mistakes show
-LEAST_IMAGES = 20
-"""Least number of images for a fit."""
 LEAST_OUTLIERS = 0.05
 """Least probability of outliers: errors of neighbouring images are correlated, so 500 images cannot exclude them."""
 _RADII = np.geomspace(0.01, 0.32, 6)  # radii of a place that are tried, in extents of the scene

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float64, Int64
 from filtering.measurement_noise import MeasurementNoise
 from filtering.se3 import Poses
 from vapor.calibration.error_correlation import (
+    LEAST_IMAGES,
     LEAST_PAIRS,
     ErrorCorrelation,
     Travel,
@@ -20,8 +21,6 @@ from vapor.calibration.error_correlation import (
     effective_images,
     pairs_of_images,
 )
-from vapor.calibration.image_errors import LEAST_IMAGES, cautious, most_likely_errors
-from vapor.calibration.places import Places
 from vapor.checkpoints.scene_scale import spaced
 from vapor.landmarks.build import Advance, BuiltMap, Material
 from vapor.landmarks.localize import LandmarkLocalizer, VerifiedPose
@@ -187,6 +186,10 @@ def fit_verified_errors(left_out: LeaveOut, log_clutter_density: float) -> Verif
 
     `log_clutter_density` is of poses spread evenly over the map, per m³ rad³.
     """
+    # Only fits need torch; `leave_out` is part of every inspection.
+    from vapor.calibration.image_errors import cautious, most_likely_errors
+    from vapor.calibration.places import Places
+
     rows, depth_m = left_out.right, left_out.depth_m
     if len(rows) < LEAST_IMAGES:
         return None

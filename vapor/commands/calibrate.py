@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import chain
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from rich.table import Table
@@ -13,14 +13,15 @@ from rich.table import Table
 from filtering.measurement_noise import Six
 from sequences.options import SequenceOptions
 from sequences.outputs import refuse_other
-from vapor.calibration.calibrate import CalibrationResult, calibrate_model
-from vapor.calibration.places import REGIONS
 from vapor.checkpoints.file_format import find_model, is_model
 from vapor.commands.console import OutputPath, Overwrite, parse, show, show_notices, show_skipped, usage_error
 from vapor.commands.progress import progress
 from vapor.engines.engine import Device
 from vapor.evaluation.reliability import Reliability
 from vapor.training_data.entries import files_read
+
+if TYPE_CHECKING:  # torch is not needed for help and wrong options
+    from vapor.calibration.calibrate import CalibrationResult
 
 _BAR, _MARK, _WIDTH = "=", "|", 40  # of the diagram, characters
 
@@ -32,22 +33,22 @@ class Options:
     model: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="MODEL")]
     """Model file, or name of a model that ships."""
     data: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="DATA ...")]
-    """MCAP files or data set folders that it was not trained on; PATH@START:STOP takes only those images."""
+    """MCAP files or data set folders that it was not trained on. PATH@100:200 takes only images 100 to 199."""
     output: OutputPath
     """Model file to write (.safetensors), new or an earlier model."""
     overwrite: Overwrite = False
     training: Annotated[tuple[str, ...], tyro.conf.arg(metavar="DATA ...")] = ()
-    """Data that it was trained on, or some of them: from these it learns what the place looks like, where it does not
-    know that (`train --no-calibrate`) or is to learn it again; without them, from half of the held-out data."""
+    """Data that it was trained on, or some of them, to learn again what the place looks like. Needed after
+    `train --no-calibrate`; without them half of the held-out data is used."""
     ood_only: bool = False
-    """Learn only what the place looks like, and leave the rest as it is."""
+    """Learn only what the place looks like (the OOD score), and leave the rest as it is."""
     same_conditions: bool = False
-    """The held-out data are of the hours, the light and the seasons of use. Mistakes about the place then count for as
-    long as they last there; else they are taken to last three times as long, as at another hour."""
+    """State that the held-out data have the light and the season of use. Otherwise mistakes about the place are taken
+    to last three times as long as in these data, as they do at another hour."""
     images: int = 500
     """Held-out images that are used, at most."""
     seed: int = 0
-    """Of latent noise."""
+    """Seed of latent noise."""
     device: Device = "auto"
     """Where the network runs."""
     reading: Annotated[SequenceOptions, tyro.conf.arg(name="")] = field(default_factory=SequenceOptions)
@@ -62,6 +63,8 @@ def main(arguments: Sequence[str]) -> None:
         usage_error("calibrate", f"images {o.images} and seed {o.seed}, expected at least 1 and 0")
     reads = chain([find_model(o.model)], files_read([*o.data, *o.training], o.reading))
     refuse_other(o.output, "model of vapor-track", is_model, reads=reads, overwrite=o.overwrite)
+    from vapor.calibration.calibrate import calibrate_model
+
     with progress("calibrating") as advance:
         result = calibrate_model(
             o.model,
@@ -97,6 +100,8 @@ def show_calibration(result: CalibrationResult) -> None:
                 gain = ""
             table.add_section()
         show(table)
+    from vapor.calibration.places import REGIONS
+
     if result.coverage is not None:
         found = ", ".join(f"{100 * fraction:.0f} %" for fraction in result.coverage)
         levels = ", ".join(f"{100 * level:.0f}" for level in REGIONS)

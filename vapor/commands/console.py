@@ -8,7 +8,7 @@ import re
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
-from contextlib import redirect_stderr, redirect_stdout
+from contextlib import redirect_stderr
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, NoReturn, TypeVar
@@ -19,6 +19,7 @@ from rich.table import Table
 from rich.text import Text
 
 from filtering.errors import VaporTrackError, shortened
+from vapor.commands.command_help import Command
 from vapor.commands.terminal import color_system, raise_of_output, width, wrapped, write, write_error
 
 Options = TypeVar("Options")
@@ -47,7 +48,7 @@ OutputPath = Annotated[
 Overwrite = Annotated[
     bool,
     tyro.conf.FlagCreatePairsOff,
-    tyro.conf.arg(help="Write there even if something else is there, and replace what has the names of the results."),
+    tyro.conf.arg(help="Write even if something else is there, and replace what has the names of the results."),
 ]
 """Whether to replace files that are not known to be results of an earlier call."""
 
@@ -62,19 +63,19 @@ def parse(command: str, options: type[Options], arguments: Sequence[str], progra
     for before, word in pairwise(["", *arguments]):
         if (url := re.search(r"(?:^|[=,])([a-z][a-z0-9+.-]*://\S*)", word)) and "--view-at" not in (before, word[:9]):
             usage_error(command, f"{url[1]}: expected a path; copy or mount it first", program)
-    errors, helped, columns = io.StringIO(), _Help(), os.environ.get("COLUMNS")
+    if {"-h", "--help"} & set(arguments):
+        show_help(Command.of(f"{program} {command}", options))
+        sys.exit(0)
+    errors, columns = io.StringIO(), os.environ.get("COLUMNS")
     try:
-        is_help = {"-h", "--help"} & set(arguments)
-        # Help is as wide as the terminal, which is not seen behind `helped`; in messages no word is broken.
-        os.environ["COLUMNS"] = str(width()) if is_help else "1000000"
-        with redirect_stderr(errors), redirect_stdout(helped):
+        os.environ["COLUMNS"] = "1000000"  # in messages no word is broken
+        with redirect_stderr(errors):
             return tyro.cli(options, prog=f"{program} {command}", args=arguments)
     except VaporTrackError as error:  # a value that its dataclass refuses
         usage_error(command, str(error), program)
     except SystemExit:
         if errors.getvalue():
             usage_error(command, _unboxed(errors.getvalue()), program)
-        show(Text.from_ansi(helped.getvalue()))
         raise
     finally:
         os.environ.pop("COLUMNS", None)
@@ -82,19 +83,9 @@ def parse(command: str, options: type[Options], arguments: Sequence[str], progra
             os.environ["COLUMNS"] = columns
 
 
-class _Help(io.StringIO):
-    """Standard output while help is made: its lines are wrapped before they are printed, and coloured as there."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._stdout = sys.stdout
-
-    @property
-    def encoding(self) -> str | None:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return getattr(self._stdout, "encoding", None)
-
-    def isatty(self) -> bool:
-        return color_system() is not None and self._stdout is not None and self._stdout.isatty()
+def show_help(command: Command) -> None:
+    """Print what a command does and its options, in lines as wide as the terminal."""
+    show(command.shown(width()))
 
 
 def _unboxed(text: str) -> str:

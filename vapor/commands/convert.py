@@ -30,14 +30,14 @@ class Options:
     """MCAP file to write, new or converted before."""
     overwrite: Overwrite = False
     odometry: Path | None = None
-    """Recorded odometry: a TUM trajectory of the camera, in any frame, of which only the relative motion counts."""
+    """Recorded odometry: a TUM trajectory of the camera in any frame. Only the relative motion counts."""
     odometry_noise: tyro.conf.FlagCreatePairsOff[bool] = False
     """Simulate odometry from the true poses, with the noise below."""
     noise: OdometryNoise = field(default_factory=OdometryNoise)
     frames: str = ":"
-    """Which images, START:STOP."""
+    """Which images, such as 100:200 for images 100 to 199; : for all."""
     seed: int = 0
-    """Of simulated odometry."""
+    """Seed of simulated odometry."""
 
 
 def main(arguments: Sequence[str]) -> None:

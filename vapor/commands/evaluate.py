@@ -87,18 +87,17 @@ class Options:
     """Measure the trajectories that `vapor-track run` wrote against true poses, without alignment."""
 
     directory: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIRECTORY")]
-    """What `vapor-track run` wrote."""
+    """Folder that `vapor-track run` wrote."""
     ground_truth: Path | None = None
     """True poses: TUM text, EuRoC's data.csv, or KITTI's with times.txt beside it. Default:
     ground_truth.tum in the directory."""
     columns: str | None = None
-    """Names of the columns of true poses in another format, as one word in quotation marks, such as "time tx ty tz qw
-    qx qy qz _": name in place of time for frames named by their stamps, _ for ignored columns."""
+    """Columns of true poses in another format, in quotation marks: "time tx ty tz qw qx qy qz _". `name` stands for
+    frames that are named by their stamps, _ for columns to ignore."""
     time_offset_s: float | Literal["auto"] = 0.0
     """Seconds to add to the stamps of true poses; auto finds them by comparing rotations."""
     output: OutputPath | None = None
-    """JSON file to write the figures to, new or of an earlier evaluation; a page of the same name, .html, goes beside
-    it."""
+    """JSON file for the figures, new or of an earlier evaluation. A page (.html) of the same name goes beside it."""
     overwrite: Overwrite = False
 
 

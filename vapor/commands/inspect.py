@@ -64,13 +64,13 @@ class Options:
     """Judge whether recordings are good enough to train on, and what to record again."""
 
     data: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="DATA ...")]
-    """MCAP files, rosbag2 folders, data set folders or files that list a split; PATH@START:STOP takes only those images
-    of it."""
+    """MCAP files, rosbag2 folders, data set folders or files that list a split. PATH@100:200 takes only images 100 to
+    199 of it."""
     model: str | None = None
-    """Model file, or name of a model that ships with the package: report, too, where it is unsure or wrong."""
+    """Also report where this model is unsure or wrong: a model file, or the name of one that ships with the package."""
     output: OutputPath | None = None
-    """Folder for report.html, report.json and, where there are true poses, map.png and recording.rrd; new or with
-    earlier ones."""
+    """Folder for report.html and report.json, and with true poses map.png and recording.rrd; new or with earlier
+    ones."""
     recording: bool = True
     """Write recording.rrd for the Rerun viewer: where the cameras were, and where the model puts them."""
     overwrite: Overwrite = False

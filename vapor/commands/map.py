@@ -20,10 +20,10 @@ from vapor.commands.progress import progress
 
 @dataclass(frozen=True)
 class Options:
-    """Make poses for images alone, such as videos of a place: a folder that `train` reads."""
+    """Find the poses of images alone, such as videos of a place, and write a folder that `train` reads."""
 
     inputs: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="INPUT ...")]
-    """Videos, folders of images, data sets or recordings, all of one place: they get one frame."""
+    """Videos, folders of images, data sets or recordings, all of one place. Their poses are in one frame."""
     output: OutputPath
     """Folder for the images with their poses, in COLMAP's layout, new or an earlier map."""
     overwrite: Overwrite = False

@@ -19,7 +19,6 @@ from vapor.checkpoints.file_format import find_model
 from vapor.commands.console import OutputPath, Overwrite, parse, show, show_notices
 from vapor.engines.engine import Device, EngineConfig
 from vapor.engines.start import describe
-from vapor.evaluation.posterior import posterior_metrics
 from vapor.evaluation.trajectory import THRESHOLDS
 from vapor.observation import VaporObservationModel
 from vapor.reporting.drawing import is_picture
@@ -35,7 +34,7 @@ class Options:
     data: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DATA")]
     """MCAP file or data set folder with true poses."""
     output: OutputPath
-    """Picture to write (.png), new or one of vapor-track's."""
+    """Picture to write (.png), new or of an earlier call."""
     overwrite: Overwrite = False
     recording: bool = False
     """Write the posterior in space for the Rerun viewer as well, beside the picture, as .rrd."""
@@ -48,7 +47,7 @@ class Options:
     gamma: float = 0.1
     """Fraction of the samples that must be near the true pose for the posterior to count as right."""
     seed: int = 0
-    """Of the samples."""
+    """Seed of the samples."""
     device: Device = "auto"
     """Where the network runs."""
     network: Annotated[EngineConfig, tyro.conf.arg(name="")] = field(default_factory=EngineConfig)
@@ -63,6 +62,8 @@ class Options:
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     o = parse("posterior", Options, arguments)
+    from vapor.evaluation.posterior import posterior_metrics  # torch is not needed for help and wrong options
+
     file = find_model(o.model)
     reads = [file, *files_read(o.data)]
     refuse_other(o.output, "picture of vapor-track", is_picture, reads=reads, overwrite=o.overwrite)

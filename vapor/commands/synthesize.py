@@ -24,30 +24,31 @@ class Options:
     """Render a sequence through a synthetic scene, with odometry and true poses."""
 
     scene: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="{" + ",".join(scene_names()) + "}")]
-    """The scene. The number N draws a building, with a camera and an odometry of its own."""
+    """The scene. The number N is the seed of a building, which has a camera and an odometry of its own."""
     output: Annotated[tyro.conf.Positional[OutputPath], tyro.conf.arg(metavar="OUT.mcap")]
     """MCAP file to write, new or synthesized before."""
     overwrite: Overwrite = False
     seed: int = 0
-    """Of path, odometry noise and sensor noise; in a building of light and people, too."""
+    """Seed of path, odometry noise and sensor noise; in a building also of light and people."""
     frames: int = 300
     """Number of images."""
     rate: float | None = None
-    """Images a second. Default: 10; in a building, what its number draws. The same seed and duration give the same path
-    and odometry at every rate."""
+    """Images a second. Default: 10; in a building, by its number. The same seed and duration give the same path and
+    odometry at every rate."""
     split: Literal["test", "train"] = "test"
-    """Test paths pass something unique in their first half; training paths go everywhere. In a building, those of seeds
+    """test: paths pass something unique in their first half. train: paths go everywhere; in a building, those of seeds
     0 to 4 begin evenly spread over a tour of all of it."""
     cues: Cues | None = None
-    """Something unique in the first half, at will, or never. Default: by the split."""
+    """When the path passes something unique: early, in its first half; any, wherever it is; none, never. Default: by
+    the split."""
     imu: bool = False
-    """Also an inertial unit on the body, with the errors of a small one."""
+    """Also simulate an inertial unit on the body, with the errors of a small one."""
     width: int = 320
     """Image width in pixels."""
     height: int = 240
     """Image height in pixels."""
     cameras: int = 1
-    """Number of cameras: the scene's, and others turned about the vertical, evenly all round."""
+    """Number of cameras: the scene's own one, and others that look evenly all round."""
 
 
 def main(arguments: Sequence[str]) -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, make_dataclass
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
 
 import tyro
 from rich.table import Table
@@ -16,21 +16,19 @@ from rich.table import Table
 from sequences.options import SequenceOptions
 from sequences.outputs import refuse_other
 from vapor.checkpoints.file_format import is_model
-from vapor.commands.calibrate import show_calibration
 from vapor.commands.console import OutputPath, Overwrite, parse, show, show_notices, show_skipped, usage_error
 from vapor.commands.progress import Progress, progress
-from vapor.evaluation.validation import Validation
 from vapor.training.config import TrainConfig
 from vapor.training.presets import METHODS, PRESETS
-from vapor.training.processes import is_first, joined_processes
-from vapor.training.progress import Progress as Where
-from vapor.training.progress import TrainingCheck, TrainResult
-from vapor.training.state import is_training_state, state_path
-from vapor.training.train import train
 from vapor.training_data.entries import files_read
 
+if TYPE_CHECKING:  # torch is not needed for help and wrong options
+    from vapor.evaluation.validation import Validation
+    from vapor.training.progress import Progress as Where
+    from vapor.training.progress import TrainingCheck, TrainResult
+
 Preset = Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(PRESETS)}}}")]
-Method = Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(METHODS)}}}")]
+Method = Annotated[str | None, tyro.conf.arg(metavar=f"{{{','.join(METHODS)}}}")]
 
 _KNOWN: Mapping[str, Collection[str]] = {"preset": PRESETS, "method": METHODS}
 _Options = TypeVar("_Options")
@@ -74,19 +72,18 @@ class Options:
     """Train a pose regressor on sequences or data sets with true poses."""
 
     data: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="DATA ...")]
-    """MCAP files, data set folders or files that list a split; PATH@START:STOP takes only those images of it."""
+    """MCAP files, data set folders or files that list a split. PATH@100:200 takes only images 100 to 199 of it."""
     output: OutputPath
     """Model file to write (.safetensors), new or an earlier model."""
     overwrite: Overwrite = False
     validation: Annotated[tuple[str, ...], tyro.conf.arg(metavar="DATA ...")] = ()
-    """Held-out data, of other images; without it passes over ground that others cover are held out."""
+    """Held-out data, of other images. Default: passes over ground that other passes cover."""
     preset: Preset = "auto"
-    """Named settings, of which the options below change single ones. auto: what suits the data, in a quarter of an
-    hour; demo: the network of the models that ship; tables: small and fast, for the scenes of that name; paper-...: the
+    """Named settings; other options change single ones of them. auto: suits the data, and takes a quarter of an hour.
+    demo: the network of the models that ship. tables: small and fast, for the scenes of that name. paper-...: the
     paper's."""
-    method: Method | None = None
-    """The method: the variational regressor, one without its sampling or its KL divergence, or another one.
-    Default: the preset's method, retrieval for auto and variational for all others."""
+    method: Method = None
+    """The regressor and its loss. Default: the preset's: retrieval for auto, variational for all others."""
     config: Annotated[TrainConfig, tyro.conf.arg(name="")] = PRESETS["auto"]
     reading: Annotated[SequenceOptions, tyro.conf.arg(name="")] = field(default_factory=SequenceOptions)
 
@@ -102,11 +99,18 @@ def main(arguments: Sequence[str]) -> None:
     )
     if not options.data:
         usage_error("train", "no training data, expected at least one file or folder")
+    from vapor.training.processes import joined_processes
+
     with joined_processes(options.config.device):
         _train(options)
 
 
 def _train(options: Options) -> None:
+    from vapor.commands.calibrate import show_calibration
+    from vapor.training.processes import is_first
+    from vapor.training.state import is_training_state, state_path
+    from vapor.training.train import train
+
     state = state_path(options.output)
     for path, kind, is_kind in (
         (options.output, "model of vapor-track", is_model),

@@ -23,11 +23,11 @@ class EngineConfig:
     """What runs the network, and how precisely."""
 
     engine: EngineName = "auto"
-    """What runs the network. openvino is for processors, and compiles a network once, into the user's cache
-    (extra `openvino`); auto takes it there where it was faster when the network was compiled, torch otherwise."""
+    """What runs the network: PyTorch, or OpenVINO on CPUs (extra `openvino`), which compiles a network once and keeps
+    it in the user's cache. auto: on a CPU the one that was faster when the network was compiled, else torch."""
     precision: Precision = "float32"
-    """Arithmetic of the network: bfloat16 is faster on GPUs, and by openvino on processors that have it; it moves
-    samples by centimetres."""
+    """Arithmetic of the network. bfloat16 is faster on GPUs, and with openvino on CPUs that have it; it moves samples
+    by centimetres."""
 
     @property
     def network(self) -> EngineConfig:

@@ -90,8 +90,7 @@ def evaluate_belief(
         `truth_among_modes`: fraction of the images with a mode within 0.3 m and 20° of the truth. `longest_wrong_s`:
         longest time with status "converged" and wrong in all images. `false_recoveries`: their number, see
         `count_false_recoveries`. `kidnap`: None, or whether the last image before was `right_before`, and `images` as
-        `recovery_images`. `reliability`: by the lower end of ranges of the best mode's weight, the number of `images`,
-        the mean weight `stated`, and the fraction `right`. `on_storey`, with
+        `recovery_images`. `reliability`: of the best mode's weight, see `Reliability.as_json`. `on_storey`, with
         `storey_height_m`: `evaluate_consistency` over the images from when on its storey is right.
     """
     best = belief.best
@@ -114,10 +113,7 @@ def evaluate_belief(
         "status": {name: counts[name] / len(sure) for name in STATUSES},
         **{name: evaluate_consistency(trajectory, covariance, nu, of, true_trajectory) for name, of in over.items()},
         "truth_among_modes": truth_among_modes(belief.modes, truth),
-        "reliability": {
-            f"{each.low:.1f}": {"images": each.images, "stated": each.stated, "right": each.right}
-            for each in Reliability.of(np.array([modes[0].weight for modes in belief.modes]), right).bins
-        },
+        "reliability": Reliability.of(np.array([modes[0].weight for modes in belief.modes]), right).as_json(),
         "longest_wrong_s": longest_s(sure & ~right, times_ns),
         "false_recoveries": count_false_recoveries(right, error_m, kidnap_index=kidnap_index),
         "kidnap": kidnap,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float64
@@ -56,3 +57,9 @@ class Reliability:
             if inside.any()
         )
         return Reliability(bins, sum(each.images * abs(each.stated - each.right) for each in bins) / len(stated))
+
+    def as_json(self) -> dict[str, dict[str, Any]]:
+        """For a report: by the lower end of a range, the number of `images`, the mean `stated`, and what is `right`."""
+        return {
+            f"{each.low:.1f}": {"images": each.images, "stated": each.stated, "right": each.right} for each in self.bins
+        }

@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from filtering.motion import Odometry
-from filtering.se3 import Poses, nearest_rotation, rotvec_from_rotation
+from filtering.se3 import Poses
+from filtering.so3 import nearest_rotation, rotvec_from_rotation
 from sequences.errors import SequenceError
 from sequences.frame import Trajectory
 from sequences.odometry_fit.fit import fit_odometry

@@ -9,13 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
+from filtering.motion import measured
 from filtering.se3 import Poses
 from sequences.datasets.frames import as_its_own, posed_frames
 from sequences.datasets.listing import is_recording, list_images
 from sequences.errors import NoImageError, SequenceError
 from sequences.frame import Frame
-from sequences.inertial.samples import read_inertial
 from sequences.inertial.sequence import InertialSequence
+from sequences.inertial.topics import read_inertial
 from sequences.options import OdometryUse, SequenceOptions, TruePoseUse
 from sequences.reader import SequenceReader
 from sequences.reading.counts import ImageCounts
@@ -127,7 +128,7 @@ class Source:
             if stop is not None and number >= stop:
                 break
             if max(number, 0) >= start:
-                yield replace(frame, odometry=frame.odometry if taken else None)
+                yield replace(frame, odometry=measured(frame.odometry) if taken else None)
                 taken += 1
         reader.stop()
         for _ in frames:  # none comes any more

@@ -251,6 +251,15 @@ class LandmarkLocalizer:
             residual[inlier],
         )
 
+    def disagreeing(self, features: Features, pose: Poses) -> Float64[np.ndarray, "m 2"]:
+        """Undistorted pixels of features that match points near a pose (world_from_camera) but are not where it is."""
+        m, camera = self.landmarks, self.landmarks.camera
+        points = self._points_of(self._near(pose, _NEAR))
+        a, b = mutual_matches(features.descriptors, restored(m.descriptors[points]), _RATIO)
+        found = seen(pose.inverse(), m.points[points[b]].astype(np.float64))
+        off = np.linalg.norm(found.at * camera.focal + camera.centre - features.pixels[a], axis=1)
+        return features.pixels[a[(off > INLIER_PX) | (found.inverse_depth <= 0.0)]]
+
     def _is_known(self, pose: Poses, found: Sequence[VerifiedPose]) -> bool:
         if not found:
             return False

@@ -30,11 +30,12 @@ Rgb = UInt8[np.ndarray, "h w 3"]
 
 @dataclass(frozen=True)
 class ShownLandmarks:
-    """An image with its features, of which k are landmarks that agree with a pose.
+    """An image with its features, of which k are landmarks that agree with a pose, and m look like others near it.
 
     Attributes:
         image: RGB, of the size at which features are found.
         features: Pixels of features.
+        disagreeing: Pixels of those that match landmarks near the pose, but lie elsewhere.
         seen: Pixels of the landmarks.
         predicted: Their projections from the pose.
         others: Number of landmarks of each other verified pose.
@@ -43,6 +44,7 @@ class ShownLandmarks:
 
     image: Rgb
     features: Float64[np.ndarray, "n 2"]
+    disagreeing: Float64[np.ndarray, "m 2"]
     seen: Float64[np.ndarray, "k 2"]
     predicted: Float64[np.ndarray, "k 2"]
     others: tuple[int, ...]
@@ -151,6 +153,16 @@ class LandmarkVerifier:
 
     Attributes:
         latest: Verified poses of the latest image, by decreasing number of landmarks.
+
+    Example:
+        >>> import vapor
+        >>> model = vapor.VaporObservationModel.from_checkpoint("room.safetensors")  # a model with a map of landmarks
+        >>> frame = next(iter(vapor.ImageSequence("room/")))
+        >>> near = vapor.Poses.from_quat_xyzw([[0.0, 0.0, 0.0]], [[0, 0, 0, 1]])
+        >>> coarse = vapor.PosePosterior.from_estimates(near, std_m=0.5, std_rad=0.2, noise=vapor.MeasurementNoise())
+        >>> sharp = model.verifier.verify(frame.image, frame.camera, coarse)
+        >>> sharp.has_verified
+        True
     """
 
     def __init__(self, landmarks: Landmarks, noise: MeasurementNoise) -> None:
@@ -200,9 +212,11 @@ class LandmarkVerifier:
             return of_map.pixels(ViewCamera(of_map.camera).rays(undistorted)) if distorted else undistorted
 
         width, height = of_map.camera.width, of_map.camera.height
+        features = self._features(image, camera)
         return ShownLandmarks(
             centre_crop(scale_to_cover(view, width, height), width, height).copy(),
-            on_view(self._features(image, camera).pixels),
+            on_view(features.pixels),
+            on_view(self._localizer.disagreeing(features, pose.world_from_camera)),
             on_view(pose.pixels),
             on_view(pose.pixels + pose.residuals),
             tuple(each.inliers for i, each in enumerate(found) if i != which),

@@ -14,6 +14,13 @@ OdometrySource = Literal["auto", "recorded", "visual", "both", "none"]
 PlanarUse = Literal["auto", "yes", "no"]
 
 
+def require_odometry_source(source: object) -> None:
+    """Raise VaporTrackError where this is no `OdometrySource`."""
+    if source not in get_args(OdometrySource):
+        known = ", ".join(get_args(OdometrySource))
+        raise VaporTrackError(f"odometry is {quoted(source)}, expected one of {known}")
+
+
 @dataclass(frozen=True)
 class FilterConfig:
     """Settings of the filter, wherever its images come from."""
@@ -23,7 +30,7 @@ class FilterConfig:
     localizer: LocalizerConfig = field(default_factory=LocalizerConfig)
     """The particle filter."""
     lag: float = 0.0
-    """Give each pose also by the images until so many seconds later (a fixed-lag smoother); 0: do not."""
+    """Fixed-lag smoother: also give each pose by the images until so many seconds later. 0: do not."""
 
     def __post_init__(self) -> None:
         require_within(self, lag=(0.0, 3600.0))
@@ -50,13 +57,13 @@ class ModelConfig(EngineConfig):
     device: Device = "auto"
     """Where the network runs."""
     threads: int = 1
-    """Processor threads of the network: more help a large network on an idle machine, and slow down a busy one."""
+    """CPU threads of the network. More of them help a large network on an idle machine, and slow down a busy one."""
     fitted_odometry: bool = True
-    """Take the noise of the odometry from the model's calibration, where that was fitted from odometry; otherwise as
-    the sequence states it."""
+    """Take the noise of odometry from the model's calibration, if it was fitted there; else from the messages."""
     planar: PlanarUse = "auto"
-    """Whether the camera is on a robot that keeps it at one tilt and height above the floor: these are then known by
-    the training poses. auto: where these show it, while images agree. yes: with their spread, whatever it is."""
+    """Whether a robot keeps the camera at one tilt and one height above the floor, which the training poses then tell.
+    auto: if they show that it does, and as long as the images agree. yes: always, with the spread that they have. no:
+    never."""
 
     def __post_init__(self) -> None:
         for name in ("num_samples", "threads"):
@@ -69,20 +76,27 @@ class ModelConfig(EngineConfig):
 
 @dataclass(frozen=True)
 class RunConfig(ModelConfig, FilteringConfig):
-    """Settings of a run with a regressor, beside the sequence and the model."""
+    """Settings of a run with a regressor, beside the sequence and the model.
+
+    Example:
+        >>> import vapor
+        >>> localizer = vapor.LocalizerConfig(converged_std_m=0.2)
+        >>> config = vapor.RunConfig(engine="torch", odometry="visual", lag=2.0, localizer=localizer)
+        >>> config.seed
+        0
+    """
 
     odometry: OdometrySource = "auto"
-    """auto: use odometry where it is recorded, and elsewhere make it from the images. recorded: require it. visual:
-    make it from the images. both: these correct each other. none: each hypothesis moves with an unknown velocity."""
+    """Where odometry comes from. auto: from the recording, or from the images if it has none. recorded: from the
+    recording. visual: from the images. both: from both, which correct each other. none: use none; the velocity is
+    unknown."""
     localize_hz: float = 10.0
-    """With visual odometry, localize so many images a second on average; those between them show the motion."""
+    """With visual odometry: images a second that are localized. Those between them only show the motion."""
     rate_hz: float = float(ASSUMED_HZ)
-    """How many images there are in a second, in a folder of images whose names state no stamps."""
+    """Images a second of a folder of images whose names are no stamps."""
 
     def __post_init__(self) -> None:
         ModelConfig.__post_init__(self)
         require_within(self, localize_hz=(1e-3, 1e6), rate_hz=(1e-3, 1e6))
-        if self.odometry not in get_args(OdometrySource):
-            known = ", ".join(get_args(OdometrySource))
-            raise VaporTrackError(f"odometry is {quoted(self.odometry)}, expected one of {known}")
+        require_odometry_source(self.odometry)
         FilteringConfig.__post_init__(self)

@@ -33,14 +33,14 @@ class EstimateConfig:
     degrees_of_freedom: float = 4.0
     """Degrees of freedom of the Student t distribution of their errors: the fewer, the heavier the tails."""
     outlier_weight: float = 0.0
-    """Of estimates with weights: how much weight stands for "none of them". A hypothesis is as probable as its weight
-    over the sum of those of its file and frame and this. With counts of inliers it is the number that a wrong pose has
-    by chance, such as 10; at 0 weights are of any unit, and only their ratios count."""
+    """For estimates with weights: the weight of "none of them". The probability of a hypothesis is its weight over the
+    sum of all weights of its file and frame, this one included. For counts of inliers, state how many a wrong pose has
+    by chance, such as 10. At 0 only ratios of weights count."""
     outlier_probability: float = 0.1
     """Fraction of the frames in which no estimate is right."""
     independent_after_s: float = 1.0
-    """Frames so far apart err independently, at the speed that the camera has on the whole; frames of a camera that
-    stands do not."""
+    """Frames so many seconds apart have independent errors, at the camera's mean speed. Frames of a camera that stands
+    share theirs."""
 
     def __post_init__(self) -> None:
         require_within(
@@ -153,6 +153,12 @@ def fuse(
 
     Raises:
         VaporTrackError: unusable files or output, or fewer than one in ten of the estimated frames left to localize.
+
+    Example:
+        >>> import vapor
+        >>> result = vapor.fuse(["estimates.tum"], "fused/", odometry="odometry.tum", ground_truth="truth.tum")
+        >>> result.report["filter"]["median_translation_m"] < 0.1
+        True
     """
     config, trust, reading = config or FilteringConfig(), trust or EstimateConfig(), reading or EstimateOptions()
     files = [Path(path) for path in estimates]

@@ -25,7 +25,6 @@ from filtering.storeys import Storeys
 from filtering.vertical import Vertical
 from sequences.estimates.sequence import EstimateSequence
 from sequences.frame_source import FrameSource
-from sequences.odometry_fit.result import OdometryFit
 from vapor.pipeline.config import FilteringConfig
 from vapor.reporting.record import RunRecord
 from vapor.reporting.rerun_place import Place
@@ -74,7 +73,6 @@ def localize(
     noise: MeasurementNoise,
     *,
     observed: Callable[[Any], np.ndarray] = attrgetter("image"),
-    odometry_fit: OdometryFit | None = None,
     storeys: Storeys | None = None,
     vertical: Callable[[Any, PosePosterior], Vertical | None] = lambda frame, posterior: None,
     place: Place | None = None,
@@ -90,7 +88,6 @@ def localize(
         config: Settings.
         noise: How the model's posteriors err.
         observed: The observation of a frame.
-        odometry_fit: Errors of the odometry; None for those that frames and settings state.
         storeys: Of the building, where there are several.
         vertical: What is known of the vertical of a frame, also by its posterior.
         place: Where it happens, for the viewer.
@@ -101,25 +98,20 @@ def localize(
         VaporTrackError: unusable frames, none, or too few.
     """
     settings = config.localizer
-    if odometry_fit is not None:
-        settings = replace(settings, odometry_bias=odometry_fit.odometry_bias)
     localizer = ParticleLocalizer(model, settings, rng=np.random.default_rng(config.seed))
     loop = StepLoop(localizer, start_baselines(settings, lambda: np.random.default_rng(config.seed)))
     steps: list[FilterStep] = []
     on_storeys: list[np.ndarray] = []
-    verified = 0
 
     def observations(frames: Iterable[Any]) -> Iterator[tuple[Any, Observation, float]]:
         before_ns: int | None = None
         for frame in frames:
-            begin, odometry = time.perf_counter(), frame.odometry
+            begin = time.perf_counter()
             with _about(frame, source):
-                if odometry is not None and odometry_fit is not None:
-                    odometry = odometry_fit.restated(odometry)
                 posterior = localizer.observe(observed(frame), camera=frame.camera_name or ONLY_CAMERA)
             observation = Observation.of_posterior(
                 posterior,
-                odometry,
+                frame.odometry,
                 elapsed_s(before_ns, frame.time_ns),
                 reference_from_camera=frame.reference_from_camera,
                 camera=frame.camera_name or ONLY_CAMERA,
@@ -135,7 +127,6 @@ def localize(
                 with _about(frame, source):
                     step = loop.step(observation, observe_ms=observe_ms)
                 steps.append(FilterStep.of(observation, step.estimate))
-                verified += observation.posterior.has_verified
                 if storeys is not None:
                     on_storeys.append(storeys.belief(step.estimate))
                 outputs.add(frame, step)
@@ -152,7 +143,6 @@ def localize(
         record,
         storeys=storeys,
         storey_belief=None if storeys is None else np.stack(on_storeys),
-        num_verified=None if noise.verified is None else verified,
     )
 
 

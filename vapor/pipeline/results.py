@@ -16,7 +16,8 @@ from sequences.trajectories.tum import write_tum
 from vapor.reporting.html.page import write_page
 from vapor.reporting.html.run_page import run_page
 from vapor.reporting.record import RunRecord
-from vapor.reporting.report import build_report, camera_notices, doubtful_notice, write_report, write_status
+from vapor.reporting.report import build_report, camera_notices, doubtful_notice, write_report
+from vapor.reporting.status_file import write_status
 from vapor.tracking.methods import FILES
 
 _PACKAGES = ("vapor-track", "torch", "numpy", "scipy", "filterpy", "gtsam", "opencv-python-headless", "rerun-sdk")
@@ -81,6 +82,8 @@ def write_results(
     report = build_report(record)
     write_report(directory / "report.json", report)
     all_notices = (*notices, *camera_notices(report), *filter(None, [doubtful_notice(record)]))
-    page = run_page(record, report, title=title, settings=settings, notices=all_notices, command=command)
+    result = RunResult(record, report, all_notices)
+    on_page = [*filter(None, [result.few_images]), *all_notices]
+    page = run_page(record, report, title=title, settings=settings, notices=on_page, command=command)
     write_page(directory / "report.html", page)
-    return RunResult(record, report, all_notices)
+    return result

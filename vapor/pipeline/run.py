@@ -7,33 +7,33 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Int64, UInt8
 
 from filtering.errors import VaporTrackError
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from sequences.frame import Camera, Frame
-from sequences.frame_source import FrameSource
+from sequences.frame_source import FrameSource, RestatedSequence
 from sequences.image_sequence import ImageSequence, is_image_sequence
-from sequences.inertial.barometer import read_rides
-from sequences.inertial.samples import read_inertial
 from sequences.inertial.sequence import InertialSequence
-from sequences.odometry_fit.result import OdometryFit
-from sequences.options import OdometryUse, SequenceOptions
+from sequences.inertial.topics import read_inertial, read_rides
+from sequences.options import SequenceOptions
 from sequences.outputs import results_folder
 from sequences.reader import SequenceReader
-from sequences.visual_odometry.odometry import USUAL_DEPTH_M, VisualOdometry
+from sequences.visual_odometry.odometry import VisualOdometry
 from sequences.visual_odometry.sequence import VisualSequence
 from vapor.checkpoints.checkpoint import ModelDescription
 from vapor.landmarks.localize import VerifiedPose
 from vapor.landmarks.verify import ShownLandmarks
 from vapor.observation import VaporObservationModel
-from vapor.pipeline.config import OdometrySource, RunConfig
+from vapor.pipeline.config import RunConfig
 from vapor.pipeline.localize import localize
 from vapor.pipeline.model import LoadedModel, load_model
+from vapor.pipeline.odometry import USES, camera_of_motion, makes_odometry, require_one_source, usual_depth_m
 from vapor.pipeline.results import RESULTS, RunResult, write_results
 from vapor.pipeline.unrecognised import MOST_IMAGES, SeenImage, are_unrecognised, why_unrecognised
 from vapor.pipeline.verticals import Verticals
+from vapor.reporting.outline import Outline
 from vapor.reporting.record import EvenlySpaced
 from vapor.reporting.rerun_place import Place
 from vapor.threads import limited_threads
@@ -41,13 +41,6 @@ from vapor.training_data.ground import describe_unshown
 
 _NO_ODOMETRY = "no odometry: each hypothesis moves by an unknown velocity from image to image"
 _VISUAL = "no odometry: it is made from the images, in a unit that the filter finds; dead reckoning is in that unit"
-_USES: dict[OdometrySource, OdometryUse] = {
-    "auto": "auto",
-    "recorded": "required",
-    "visual": "ignored",
-    "both": "required",
-    "none": "ignored",
-}
 _MOST_KEPT = 7  # images in which landmarks verified a place
 _VerifiedImage = tuple[int, UInt8[np.ndarray, "h w 3"], Camera | None, list[VerifiedPose]]
 
@@ -79,6 +72,14 @@ def run(
 
     Raises:
         VaporTrackError: unusable sequence, model or output, or fewer than one in ten of the images left to localize.
+
+    Example:
+        >>> import vapor
+        >>> config = vapor.RunConfig(recording=False)
+        >>> result = vapor.run("walk.mcap", "place.safetensors", "run/", config)
+        >>> result.record.methods["filter"].poses.translation.shape  # of world_from_camera, metres
+        (25, 3)
+        >>> stored = vapor.read_run("run/")  # the same again from the files
     """
     sequence, output = Path(sequence), Path(output)
     config = config or RunConfig()
@@ -108,11 +109,14 @@ def run_into(
     reader = _open(sequence, reading, config, model.observation.description.cameras)
     observation = model.observation.seen_by(reader.camera)
     calibration = observation.description.calibration
-    fit = calibration.odometry if config.fitted_odometry else None
-    reader = _with_visual_odometry(reader, observation.description, config, fit)
-    visual = isinstance(reader, VisualSequence)  # which has restated the odometry
     verticals = Verticals(observation.description, config.planar)
-    frames = _with_inertial(reader, reading, None if fit is None or visual else fit, verticals)
+    fit = calibration.odometry if config.fitted_odometry else None
+    frames = reader if fit is None else RestatedSequence(reader, fit.restated)
+    frames = _with_visual_odometry(frames, observation.description, config)
+    frames = _with_inertial(frames, reading, verticals)
+    bias = VisualOdometry.bias if frames.odometry_origin == "visual" else None if fit is None else fit.odometry_bias
+    if bias is not None:
+        config = replace(config, localizer=replace(config.localizer, odometry_bias=bias))
 
     some: EvenlySpaced[SeenImage] = EvenlySpaced(MOST_IMAGES)
     verified = VerifiedImages(observation)
@@ -123,18 +127,12 @@ def run_into(
         return frame.image
 
     with limited_threads(config.threads):
-        restates = isinstance(frames, InertialSequence) and frames.corrects_odometry
-        if isinstance(reader, VisualSequence) or restates:
-            usual = fit.odometry_bias if fit is not None else config.localizer.odometry_bias
-            bias = VisualOdometry.bias if isinstance(reader, VisualSequence) and not reader.beside else usual
-            config, fit = replace(config, localizer=replace(config.localizer, odometry_bias=bias)), None
         record = localize(
             frames,
             verified,
             directory,
             config,
             calibration.errors,
-            odometry_fit=fit,
             storeys=observation.storeys,
             vertical=lambda frame, posterior: verticals.step(
                 posterior, frame.gravity, is_localized=frame.reference_from_camera is None
@@ -144,22 +142,25 @@ def run_into(
             progress=progress,
             observed=seen,
         )
-        record = replace(record, landmarks=verified.middle(record.methods["filter"].poses))
+        record = replace(
+            record,
+            inliers=verified.inliers,
+            landmarks=verified.middle(record.methods["filter"].poses),
+            outline=Outline.of_model(observation.description),
+        )
         engine = {"device": observation.engine.device, "engine": observation.engine.name}
         settings = {
             "sequence": {
                 "name": sequence.name,
-                "images": reader.num_images,
-                "image_source": reader.image_description,
-                "odometry": reader.odometry_description,
+                "images": frames.num_images,
+                "image_source": frames.image_description,
+                "odometry": frames.odometry_description,
             },
             "model": {"name": model.name, "sha256": model.sha256},
             "run": asdict(config) | engine,
-            "reading": asdict(reading) | reader.resolved,
+            "reading": asdict(reading) | frames.resolved,
         }
-        made = config.odometry == "auto" and isinstance(reader, VisualSequence)
-        missing = [_VISUAL] if made else [] if reader.has_odometry else [_NO_ODOMETRY]
-        notices = [*missing, *frames.notices, *observation.notices, *verticals.notices]
+        notices = [*_about_odometry(frames, config), *frames.notices, *observation.notices, *verticals.notices]
         if are_unrecognised(record.status) and observation.description.ood_model is not None:
             notices.append(why_unrecognised(some.items, observation.ood_score))
         if (trained := observation.description.memory_poses) is not None:
@@ -170,11 +171,8 @@ def run_into(
 
 def _open(sequence: Path, reading: SequenceOptions, config: RunConfig, cameras: Sequence[str]) -> FrameSource:
     if not is_image_sequence(sequence):
-        if _USES[config.odometry] == "ignored" and (reading.odometry_topic or reading.odometry_frame):
-            raise VaporTrackError(
-                f"--odometry {config.odometry} beside --odometry-topic or --odometry-frame, expected one of them"
-            )
-        return SequenceReader(sequence, reading, odometry=_USES[config.odometry], usual_cameras=cameras)
+        require_one_source(config.odometry, reading)
+        return SequenceReader(sequence, reading, odometry=USES[config.odometry], usual_cameras=cameras)
     if config.odometry in ("recorded", "both"):
         raise VaporTrackError(
             f"{sequence}: --odometry {config.odometry} with images alone, expected a recording with odometry"
@@ -182,62 +180,53 @@ def _open(sequence: Path, reading: SequenceOptions, config: RunConfig, cameras: 
     return ImageSequence(sequence, reading, rate_hz=config.rate_hz)
 
 
-def _with_visual_odometry(
-    reader: FrameSource, model: ModelDescription, config: RunConfig, fit: OdometryFit | None
-) -> FrameSource:
+def _with_visual_odometry(frames: FrameSource, model: ModelDescription, config: RunConfig) -> FrameSource:
     """The sequence with odometry from its images, where that is asked for or there is no other.
 
     Args:
-        reader: The sequence.
+        frames: The sequence.
         model: Its training camera is that of images without intrinsics; its landmarks say how far away the scene is.
         config: Settings.
-        fit: Errors of recorded odometry; None for those that it states.
 
     Raises:
         VaporTrackError: it is asked for, and no intrinsics are known.
     """
-    if config.odometry in ("recorded", "none") or (config.odometry == "auto" and reader.has_odometry):
-        return reader
-    camera = reader.camera or model.camera
-    if camera is not None:
-        return VisualSequence(
-            reader,
-            camera,
-            beside=config.odometry == "both",
-            restated=None if fit is None else fit.restated,
-            most_hz=config.localize_hz,
-            usual_depth_m=USUAL_DEPTH_M if model.landmarks is None else model.landmarks.map.depth_m,
-        )
-    if config.odometry != "auto":
-        raise VaporTrackError(
-            f"{reader.path}: --odometry {config.odometry} without intrinsics, expected CameraInfo or an"
-            " intrinsics.json, or a model whose training images had them"
-        )
-    return reader
+    if not makes_odometry(config.odometry, is_recorded=frames.odometry_origin is not None):
+        return frames
+    camera = camera_of_motion(frames.path, frames.camera, model, config.odometry)
+    if camera is None:
+        return frames
+    return VisualSequence(
+        frames,
+        camera,
+        beside=config.odometry == "both",
+        most_hz=config.localize_hz,
+        usual_depth_m=usual_depth_m(model),
+    )
 
 
-def _with_inertial(
-    frames: FrameSource, reading: SequenceOptions, fit: OdometryFit | None, verticals: Verticals
-) -> FrameSource:
+def _with_inertial(frames: FrameSource, reading: SequenceOptions, verticals: Verticals) -> FrameSource:
     """The sequence with gravity and turns of an inertial unit and with rides in lifts, where its recording has them.
 
     Args:
         frames: The sequence.
-        reading: Its topic.
-        fit: Errors of its odometry; None for those that it states.
+        reading: Its topics.
         verticals: Which way is up for a robot.
     """
     if is_image_sequence(frames.path):
         return frames
     localized = replace(reading, image_topic=frames.resolved["image_topic"].split(",")[0])
     samples, notices = read_inertial(frames.path, localized)
-    in_metres = not isinstance(frames, VisualSequence) or frames.beside
+    in_metres = frames.odometry_origin != "visual"
     rides, of_pressure = read_rides(frames.path, reading) if in_metres else ([], [])
-    restated = None if fit is None else fit.restated
-    notices = [*notices, *of_pressure]
-    if samples is None and not rides and not notices:
-        return frames
-    return InertialSequence(frames, samples, notices, restated, rides=rides, usual_up=verticals.usual_up)
+    return InertialSequence(frames, samples, [*notices, *of_pressure], rides=rides, usual_up=verticals.usual_up)
+
+
+def _about_odometry(frames: FrameSource, config: RunConfig) -> list[str]:
+    """Where the motion comes from, for users, where that is not recorded odometry or as they asked for."""
+    if frames.odometry_origin == "visual" and config.odometry == "auto":
+        return [_VISUAL]
+    return [_NO_ODOMETRY] if frames.odometry_origin is None else []
 
 
 class VerifiedImages:
@@ -245,17 +234,22 @@ class VerifiedImages:
 
     def __init__(self, model: VaporObservationModel) -> None:
         self._model = model
-        self._number, self._verified = 0, 0
+        self._inliers: list[int] = []
         self._kept: EvenlySpaced[_VerifiedImage] = EvenlySpaced(_MOST_KEPT)
 
     def observe(self, image: np.ndarray, *, rng: np.random.Generator) -> PosePosterior:
         """See `VaporObservationModel.observe`."""
         posterior = self._model.observe(image, rng=rng)
-        if self._model.verifier is not None and (found := self._model.verifier.latest):
-            self._kept.add(lambda: (self._number, image.copy(), self._model.camera, found))
-            self._verified += 1
-        self._number += 1
+        found = [] if self._model.verifier is None else self._model.verifier.latest
+        if found:
+            self._kept.add(lambda: (len(self._inliers), image.copy(), self._model.camera, found))
+        self._inliers.append(found[0].inliers if found else 0)
         return posterior
+
+    @property
+    def inliers(self) -> Int64[np.ndarray, " n"] | None:
+        """Landmarks that agree with the best verified pose of each image, (n,); None without landmarks."""
+        return None if self._model.verifier is None else np.array(self._inliers, np.int64)
 
     def middle(self, poses: Poses) -> ShownLandmarks | None:
         """The landmarks in the middle one of the images kept; None where landmarks verified nothing.
@@ -265,7 +259,7 @@ class VerifiedImages:
         """
         if self._model.verifier is None or not self._kept.kept:
             return None
-        middle = 0.5 * (self._verified - 1)
+        middle = 0.5 * (np.count_nonzero(self._inliers) - 1)
         _, (number, image, camera, found) = min(self._kept.kept, key=lambda each: abs(each[0] - middle))
         metres, _ = Poses.stack([each.world_from_camera for each in found]).distance(poses[number])
         return self._model.verifier.shown(image, camera, found, which=int(np.argmin(metres)), number=number)

@@ -13,7 +13,7 @@ from jaxtyping import Float, UInt8
 from torch import Tensor, nn
 
 from filtering.se3 import Poses
-from vapor.regressors.loss import LossConfig
+from vapor.regressors.loss_config import LossConfig
 from vapor.regressors.network_config import NetworkConfig, make_backbone, pixel_statistics
 from vapor.regressors.scene_box import SceneBox
 

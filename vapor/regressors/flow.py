@@ -19,7 +19,7 @@ from torch.nn import functional
 from filtering.se3 import Poses
 from vapor.regressors.base import DensityRegressor, Features, Images, Noise, PoseSamples, Positions, Rotations
 from vapor.regressors.layers import count_below, normal_cdf, rodrigues
-from vapor.regressors.loss import LossConfig
+from vapor.regressors.loss_config import LossConfig
 from vapor.regressors.network_config import NetworkConfig
 from vapor.regressors.scene_box import SceneBox
 

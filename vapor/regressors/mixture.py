@@ -15,7 +15,8 @@ from torch import Tensor, nn
 
 from vapor.regressors.base import DensityRegressor, Features, Images, Noise, PoseSamples, Positions, Rotations
 from vapor.regressors.layers import count_below, normal_cdf, rodrigues, rotation_from_6d
-from vapor.regressors.loss import LossConfig, pose_distance
+from vapor.regressors.loss import pose_distance
+from vapor.regressors.loss_config import LossConfig
 from vapor.regressors.network_config import NetworkConfig
 from vapor.regressors.scene_box import SceneBox
 

@@ -24,7 +24,7 @@ from torch.nn import functional
 
 from vapor.regressors.base import Features, Images, Noise, Positions, Rotations
 from vapor.regressors.layers import mean_of_cells, rodrigues
-from vapor.regressors.loss import LossConfig
+from vapor.regressors.loss_config import LossConfig
 from vapor.regressors.mixture import Components, MixtureDensity
 from vapor.regressors.network_config import NetworkConfig, stage_channels
 from vapor.regressors.scene_box import SceneBox

@@ -9,7 +9,8 @@ from torch import Tensor, nn
 from filtering.se3 import Poses
 from vapor.regressors.base import Features, Images, Noise, PoseRegressor, PoseSamples, Positions, Rotations
 from vapor.regressors.layers import PoseMap, repeated
-from vapor.regressors.loss import LossConfig, pose_distance
+from vapor.regressors.loss import pose_distance
+from vapor.regressors.loss_config import LossConfig
 from vapor.regressors.network_config import NetworkConfig
 from vapor.regressors.scene_box import SceneBox
 

@@ -8,8 +8,9 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float64, Int64, UInt8
 
+from filtering.plots import OTHER, TRUTH
 from sequences.atomic import atomic_output
 from vapor.tracking.methods import METHODS
 
@@ -19,8 +20,8 @@ if TYPE_CHECKING:
 COLORS: Mapping[str, str] = MappingProxyType(
     {
         **{name: method.color for name, method in METHODS.items()},
-        "truth": "#222222",
-        "other": "#d55e00",  # hypotheses beside the best one
+        "truth": TRUTH,
+        "other": OTHER,
     }
 )
 """One colour in every picture for each tracking method, for the truth and for other hypotheses."""
@@ -34,6 +35,14 @@ _SOFTWARE = "vapor-track"  # the `Software` of a PNG
 def rgb(code: str) -> tuple[int, int, int]:
     """A colour such as #0072b2, each part from 0 to 255."""
     return int(code[1:3], 16), int(code[3:5], 16), int(code[5:7], 16)
+
+
+def jumps(positions: Float64[np.ndarray, "n 3"]) -> Int64[np.ndarray, " k"]:
+    """Indices of the positions (metres) that are much farther from the one before than is usual on the path."""
+    step = np.linalg.norm(np.diff(positions, axis=0), axis=1)
+    if len(step) == 0:
+        return np.zeros(0, np.int64)
+    return np.flatnonzero(step > 0.4 + 6.0 * np.median(step)) + 1
 
 
 def shrunk(image: UInt8[np.ndarray, "height width 3"], side: int) -> UInt8[np.ndarray, "h w 3"]:

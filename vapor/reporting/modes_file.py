@@ -34,11 +34,17 @@ def write_modes(file: TextIOBase, time_ns: int, modes: Sequence[Mode]) -> None:
         file.write(f"{time},{mode.identity},{mode.weight:.6f},{pose},{metres:.4f},{degrees:.3f}\n")
 
 
-def read_mode_trajectories(path: Path) -> dict[int, ModeTrajectory]:
+def read_mode_trajectories(path: Path | str) -> dict[int, ModeTrajectory]:
     """The trajectory of each mode of a run, by its identity, from the run's `modes.csv`.
 
     Raises:
         SequenceError: the file is missing, or is not one that `run` or `fuse` wrote.
+
+    Example:
+        >>> import vapor
+        >>> modes = vapor.read_mode_trajectories("result/modes.csv")
+        >>> longest = max(modes.values(), key=lambda mode: len(mode.trajectory))
+        >>> vapor.write_tum("longest.tum", longest.trajectory)
     """
     path = Path(path)
     lines = read_lines(path, None)

@@ -11,12 +11,14 @@ from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 
 from filtering.errors import VaporTrackError
 from filtering.estimate import Estimate, Mode, Status
+from filtering.motion import measured
 from filtering.se3 import Poses
 from filtering.storeys import Storeys
 from sequences.frame import Frame, Trajectory
 from sequences.reading.counts import ImageCounts
 from vapor.landmarks.verify import ShownLandmarks
 from vapor.reporting.drawing import as_jpeg, shrunk
+from vapor.reporting.outline import Outline
 from vapor.tracking.hindsight import LookBack
 from vapor.tracking.loop import Step
 from vapor.tracking.methods import in_order
@@ -170,8 +172,10 @@ class RunRecord:
         peak_rss_mb: Peak resident memory of the process, MiB; None if not measured.
         storeys: Of the building; None where there is one only, or it is not known.
         storey_belief: Fraction of the filter's belief on each of the f storeys, (n, f); None without storeys.
-        num_verified: Number of images in which landmarks verified a place; None without a map of landmarks.
+        inliers: Landmarks that agree with the best verified pose of each image, 0 where none is, (n,); None without a
+            map of landmarks.
         landmarks: The landmarks in one of these images; None without any.
+        outline: Of the place; None where it is not known.
         cameras: Name of the camera of each image, n; all '' where there is one.
         left_out: Whether the image did not count, as its camera's fit nowhere where those of the others fit, (n,).
     """
@@ -199,8 +203,9 @@ class RunRecord:
     look_back: LookBack | None = None
     storeys: Storeys | None = None
     storey_belief: Float64[np.ndarray, "n f"] | None = None
-    num_verified: int | None = None
+    inliers: Int64[np.ndarray, " n"] | None = None
     landmarks: ShownLandmarks | None = None
+    outline: Outline | None = None
     cameras: tuple[str, ...] = ()
     left_out: Bool[np.ndarray, " n"] = field(default_factory=lambda: np.zeros(0, bool))
 
@@ -230,9 +235,9 @@ class RunRecorder:
         """Append one image, and the estimates of all methods after it."""
         estimate, number = step.estimate, len(self._times_ns)
         best = estimate.modes[0]
-        if frame.odometry is not None and self._dead_reckoning:
+        if (motion := measured(frame.odometry)) is not None and self._dead_reckoning:
             self._has_odometry = True
-            self._dead_reckoning.append(self._dead_reckoning[-1] @ frame.odometry.previous_from_current)
+            self._dead_reckoning.append(self._dead_reckoning[-1] @ motion.previous_from_current)
         else:  # the first image, of the run or after a gap; a sequence without odometry shows no dead reckoning
             start = best.world_from_camera if frame.world_from_reference is None else frame.world_from_reference
             self._dead_reckoning.append(start)

@@ -1,4 +1,4 @@
-"""The report of a run: `report.json`, `status.csv`, and the table that the command prints."""
+"""The report of a run: `report.json`, and the table that the command prints."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Bool
 
 from filtering.estimate import STATUSES
 from sequences.atomic import atomic_output
 from sequences.errors import SequenceError
 from sequences.files import read_json
-from sequences.trajectories.tum import format_time
 from vapor.evaluation.consistency import evaluate_consistency
+from vapor.evaluation.reliability import Reliability
 from vapor.evaluation.storeys import evaluate_storeys
-from vapor.evaluation.trajectory import TAIL_M, THRESHOLDS, associate, evaluate_methods
+from vapor.evaluation.trajectory import TAIL_M, THRESHOLDS, associate, evaluate_methods, is_right
 from vapor.reporting.record import RunRecord
 from vapor.tracking.hindsight import LookBack
 from vapor.tracking.methods import METHODS, in_order
@@ -37,9 +37,10 @@ def build_report(record: RunRecord) -> dict[str, Any]:
     Returns:
         `frames`, `frames_with_true_pose`, `skipped`, `images` (see `ImageCounts`), `duration_s`, `status` (fraction of
         the images by status), `smoothed_doubtful` (number of poses; null without a smoothed trajectory), `hindsight`
-        (see below; null without), `particles` (median), `step_ms`, `peak_rss_mb`, `verified` (fraction of the images,
-        with landmarks only) and `storeys` (see `evaluate_storeys`; null where there is one only). With true poses also
-        each method's metrics (see `evaluate_trajectory`) and `consistency` (see `evaluate_consistency`).
+        (see below; null without), `particles` (median), `step_ms`, `peak_rss_mb`, with landmarks `verified` (fraction
+        of the images) and `inliers` (median number of landmarks in these), and `storeys` (see `evaluate_storeys`; null
+        where there is one only). With true poses also each method's metrics (see `evaluate_trajectory`), `consistency`
+        (see `evaluate_consistency`), and `reliability` of the weight of the best mode (see `Reliability.as_json`).
 
         `hindsight`: `ambiguous` (number of smoothed poses), `second_probability` (of the second trajectory's end; 0
         where there is none), `carried_off_s` (when the camera was carried off, seconds since the first image), and with
@@ -74,8 +75,10 @@ def build_report(record: RunRecord) -> dict[str, Any]:
             for name in names
             for own in [np.flatnonzero([each == name for each in record.cameras])]
         }
-    if record.num_verified is not None:
-        report["verified"] = record.num_verified / len(record.times_ns)
+    if record.inliers is not None:
+        verified = record.inliers > 0
+        report["verified"] = float(verified.mean())
+        report["inliers"] = float(np.median(record.inliers[verified])) if verified.any() else None
     if record.storeys is not None and record.storey_belief is not None:
         report["storeys"] = evaluate_storeys(record.storeys, record.storey_belief, record.methods, record.truth)
     if record.truth is not None:
@@ -84,6 +87,9 @@ def build_report(record: RunRecord) -> dict[str, Any]:
         report["consistency"] = evaluate_consistency(
             record.methods["filter"], record.covariance, record.degrees_of_freedom, converged, record.truth
         )
+        with_truth, truth = associate(record.times_ns, record.truth)
+        right = is_right(record.methods["filter"].poses[with_truth], truth)
+        report["reliability"] = Reliability.of(record.best_weight[with_truth], right).as_json()
     if record.look_back is not None:
         report["hindsight"] = _hindsight(record, record.look_back)
     return _rounded(report)
@@ -150,41 +156,6 @@ def write_report(path: Path, report: Mapping[str, Any]) -> None:
         partial.write_text(text, encoding="utf-8")
 
 
-def write_status(path: Path, record: RunRecord) -> None:
-    """Write how good the pose of each image is, as CSV.
-
-    `status`, `std_m`, `std_deg`: the filter's status, and standard deviations of its pose along the widest axis of
-    position and rotation. `unassigned`: probability that the camera is at none of the hypotheses. `log_likelihood`: see
-    `Estimate`. `innovation`: normalised innovation squared of the best mode per degree of freedom; empty without one.
-    `smoothed`: whether the images about the smoothed pose fit it, `fits` or `doubtful`; or `ambiguous` where the second
-    trajectory is at another place. `smoothed_std_m`, `smoothed_std_deg`: of the smoothed pose. `carried_off`: 1 where
-    the camera was carried off before the image. `camera`: that of the image, where there are several.
-    """
-    columns = [format_time(time_ns) for time_ns in record.times_ns.tolist()], record.status, *_widest(record.covariance)
-    columns += tuple([f"{each:.4f}" for each in values] for values in (record.unassigned, record.log_likelihood))
-    columns += (["" if np.isnan(each) else f"{each:.3f}" for each in record.innovation],)
-    if (back := record.look_back) is None:
-        columns += ([""] * len(record.times_ns),) * 4
-    else:
-        fits = np.where(back.agreement < FITS, "doubtful", np.where(back.ambiguous, "ambiguous", "fits"))
-        columns += (fits, *_widest(back.trajectories["smoothed"].covariance), back.carried_off.astype(int))
-    columns += (record.cameras or [""] * len(record.times_ns),)
-    with atomic_output(path) as partial, open(partial, "w", encoding="utf-8") as file:
-        file.write(
-            "time,status,std_m,std_deg,unassigned,log_likelihood,innovation,smoothed,smoothed_std_m,smoothed_std_deg,"
-            "carried_off,camera\n"
-        )
-        file.writelines(",".join(map(str, row)) + "\n" for row in zip(*columns, strict=True))
-
-
-def _widest(covariance: Float64[np.ndarray, "n 6 6"]) -> tuple[list[str], list[str]]:
-    """Standard deviations along the widest axis of position and rotation, metres and degrees."""
-    std_m, std_rad = (
-        np.sqrt(np.linalg.eigvalsh(covariance[:, part, part]))[:, -1] for part in (slice(0, 3), slice(3, 6))
-    )
-    return [f"{each:.4f}" for each in std_m], [f"{each:.3f}" for each in np.degrees(std_rad)]
-
-
 def is_report(path: Path, keys: Collection[str]) -> bool:
     """Whether a file is a JSON object with these keys among others."""
     try:
@@ -200,8 +171,10 @@ def method_table(report: Mapping[str, Any], *, large_errors: bool = False) -> tu
 
     Without true poses there are no rows.
     """
-    thresholds = [f"worse than\n{TAIL_M[name]:g} m" for name in TAIL_M] if large_errors else [*THRESHOLDS]
-    thresholds = [name.replace("m/", " m\n").replace("deg", "°") for name in thresholds]
+    thresholds = (
+        [f"worse than\n{TAIL_M[name]:g}\N{NO-BREAK SPACE}m" for name in TAIL_M] if large_errors else [*THRESHOLDS]
+    )
+    thresholds = [name.replace("m/", "\N{NO-BREAK SPACE}m\n").replace("deg", "°") for name in thresholds]
     columns = ["", "median error", *thresholds, "right\nfrom"]
     digits = 1 if large_errors else 0
     rows: list[list[str]] = []

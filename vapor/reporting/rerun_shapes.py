@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
-from scipy.optimize import linear_sum_assignment
 
 from filtering.estimate import Mode
 from filtering.motion import Odometry
@@ -92,6 +91,8 @@ class HypothesisColors:
         numbers = np.full(len(poses), -1)
         if self._poses is not None:
             moved = self._poses if odometry is None else self._poses @ odometry.previous_from_current
+            from scipy.optimize import linear_sum_assignment  # only viewers need it, and every run would pay for it
+
             metres_sq, turned = poses.squared_distances(moved)
             here, before = linear_sum_assignment(metres_sq / self._length_m**2 + turned)
             numbers[here] = self._numbers[before]

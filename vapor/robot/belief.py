@@ -15,14 +15,13 @@ from filtering.estimate import Estimate
 from filtering.hindsight import FilterStep
 from filtering.localizer import ParticleLocalizer
 from filtering.measurement_noise import MeasurementNoise
-from filtering.motion import Odometry
+from filtering.motion import Odometry, measured
 from filtering.novelty import NoveltyTracker
 from filtering.observation import ONLY_CAMERA, Observation
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from sequences.frame import Frame
-from sequences.live.reader import LiveReader
-from sequences.odometry_fit.result import OdometryFit
+from sequences.live.frames import LiveFrames
 from vapor.observation import VaporObservationModel
 from vapor.pipeline.verticals import Verticals
 from vapor.robot.network import Job
@@ -64,10 +63,20 @@ class LiveEstimate:
     Attributes:
         frame: The newest image, its stamp, and the odometry since the image before; the same again after a late image.
         estimate: The filter's estimate.
-        map_from_base: Pose of the odometry's child frame at the time of the image, by the best mode, one pose.
-        map_from_odom: Transform from the map to the odometry's frame, one pose; None unless converged.
+        map_from_base: Pose of the odometry's child frame at the time of the image, by the best mode, one pose; without
+            published odometry of the base, or of the camera where nothing says how it is mounted.
+        map_from_odom: Transform from the map to the odometry's frame, one pose; None unless converged, and without
+            published odometry.
         latency_ms: Milliseconds from the arrival of the image, or the late one, to this estimate.
         skipped: Number of images that were skipped so far, by reason.
+
+    Example:
+        >>> import vapor
+        >>> def say(now: vapor.LiveEstimate) -> None:
+        ...     print(now.time_ns, now.estimate.status, now.map_from_base.translation, f"{now.latency_ms:.0f} ms")
+        >>> session = vapor.live("place.safetensors")  # then session.run(say)
+        >>> session.localized
+        0
     """
 
     frame: Frame
@@ -87,21 +96,20 @@ class LiveBelief:
     """The belief about a robot that moves on while the network processes its images.
 
     `anchor` is None before the first image. `now` is the latest published belief, later than the anchor if images are
-    missing. Without a `fit` of the model's calibration, odometry errs as it states. With a `lag_s` above 0 it also has
-    the pose of each image by the images until so many seconds later. `verticals` know a planar robot's tilt and height.
+    missing. With a `lag_s` above 0 it also has the pose of each image by the images until so many seconds later.
+    `verticals` know a planar robot's tilt and height, and what gravity says.
     """
 
     def __init__(
         self,
         localizer: ParticleLocalizer,
         model: VaporObservationModel,
-        reader: LiveReader,
-        fit: OdometryFit | None,
-        lag_s: float = 0.0,
-        verticals: Verticals | None = None,
+        frames: LiveFrames,
+        lag_s: float,
+        verticals: Verticals,
     ) -> None:
-        self.localizer, self.reader, self._model, self._fit = localizer, reader, model, fit
-        self._verticals = verticals
+        self.localizer, self.frames, self.reader, self._model = localizer, frames, frames.reader, model
+        self.verticals = verticals
         self.anchor: Anchor | None = None
         self.now: Estimate | None = None
         noise = model.description.calibration.errors.finest
@@ -126,7 +134,7 @@ class LiveBelief:
 
     def _is_new(self, frame: Frame) -> bool:
         """Whether to look for landmarks: the belief is unsure, or motion or a second passed since the last time."""
-        motion, newest_ns, camera = frame.odometry, self.reader.frame_ns, frame.camera_name
+        motion, newest_ns, camera = measured(frame.odometry), self.reader.frame_ns, frame.camera_name
         is_late = newest_ns is not None and frame.time_ns < newest_ns  # its motion is part of one that was added
         if motion is not None and not is_late:
             step = motion.previous_from_current
@@ -147,20 +155,19 @@ class LiveBelief:
         """
         frame, anchor = job.frame, self.anchor
         ahead_ns = self._ahead_of(frame.time_ns, job.reading, job.began_s - (0.0 if anchor is None else anchor.began_s))
-        odometry, time_ns = self._restated(frame.odometry), frame.time_ns + ahead_ns
+        time_ns = frame.time_ns + ahead_ns
         elapsed_s = 0.0 if anchor is None else max(time_ns - anchor.time_ns - self._ahead_ns, 0) * 1e-9
         observation = Observation.of_posterior(
             posterior,
-            odometry,
+            frame.odometry,
             elapsed_s,
             time_ns,
             reference_from_camera=frame.reference_from_camera,
             camera=frame.camera_name or ONLY_CAMERA,
         )
-        if self._verticals is not None:
-            is_localized = frame.reference_from_camera is None
-            vertical = self._verticals.step(observation.posterior, frame.gravity, is_localized=is_localized)
-            observation = replace(observation, vertical=vertical)
+        is_localized = frame.reference_from_camera is None
+        vertical = self.verticals.step(observation.posterior, frame.gravity, is_localized=is_localized)
+        observation = replace(observation, vertical=vertical)
         estimate = self.localizer.advance(observation)
         self._ahead_ns = ahead_ns
         if anchor is not None and anchor.reading == job.reading and frame.time_ns < anchor.time_ns:  # it was late
@@ -213,7 +220,7 @@ class LiveBelief:
         self._ahead_ns = 0
         self._verified_s.clear()
         if time_ns is not None:
-            self.reader.settle(time_ns)
+            self.frames.settle(time_ns)
 
     def settle(self) -> None:
         """Follow odometry permanently where images are missing for long; no image may be at the network."""
@@ -222,8 +229,8 @@ class LiveBelief:
         if odometry_ns is None or frame_ns is None or odometry_ns - frame_ns <= _SETTLE_S * 1e9:
             return
         settled_ns = odometry_ns - round(_SETTLED_S * 1e9)
-        motion, odom_from_base = self._restated(reader.moved_until(settled_ns)), reader.odom_from_base(settled_ns)
-        reader.settle(settled_ns)
+        motion, odom_from_base = self.frames.moved_until(settled_ns), reader.odom_from_base(settled_ns)
+        self.frames.settle(settled_ns)
         self._end_lag()
         self._verified_s.clear()  # its motion until then comes with no image
         if anchor is None:
@@ -243,31 +250,24 @@ class LiveBelief:
         if by_odometry and time_ns is not None and anchor.reading == self.reader.readings:
             motion = self._motion_since(anchor, time_ns, at_network)
         later = self.localizer.predicted(motion, elapsed_s=anchor.age_s)
-        return time_ns or anchor.time_ns, later
+        return anchor.time_ns + round(anchor.age_s * 1e9) if time_ns is None else time_ns, later
 
     def covariance_of_base(
         self, anchor: Anchor, time_ns: int, at_network: Job | None
     ) -> Float64[np.ndarray, "6 6"] | None:
         """Covariance of the base's pose in its tangent, by the best mode; None where the motion is unknown."""
-        if (motion := self._motion_since(anchor, time_ns, at_network)) is None:
+        if (motion := measured(self._motion_since(anchor, time_ns, at_network))) is None:
             return None
         covariance = motion.carry @ anchor.estimate.modes[0].covariance @ motion.carry.T + motion.covariance
         carry = self.reader.base_from_camera.adjoint()
         return carry @ covariance @ carry.T
 
     def _motion_since(self, anchor: Anchor, time_ns: int, at_network: Job | None) -> Odometry | None:
-        begin_ns = self.reader.frame_ns
-        if begin_ns is None or time_ns <= begin_ns:
-            motion = Odometry(Poses.identity(), np.zeros((6, 6)), 0.0)
-        else:
-            motion = self.reader.moved_until(time_ns)
+        motion = self.frames.moved_until(time_ns)
         if motion is not None and at_network is not None and at_network.frame.time_ns > anchor.time_ns:  # not late
             between = at_network.frame.odometry
             motion = None if between is None else between.then(motion)
-        return self._restated(motion)
-
-    def _restated(self, odometry: Odometry | None) -> Odometry | None:
-        return odometry if odometry is None or self._fit is None else self._fit.restated(odometry)
+        return motion
 
     def map_from_odom(self, anchor: Anchor) -> Poses | None:
         """Transform from the map to the odometry's frame by the best mode, one pose; None where odometry is unknown."""

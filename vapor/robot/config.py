@@ -8,13 +8,25 @@ from pathlib import Path
 
 from filtering.errors import VaporTrackError, require_within
 from sequences.recordings.mcap_writer import MAP_FRAME
-from vapor.pipeline.config import FilterConfig, ModelConfig
+from vapor.pipeline.config import FilterConfig, ModelConfig, OdometrySource, require_odometry_source
 
 
 @dataclass(frozen=True)
 class LiveConfig(ModelConfig, FilterConfig):
-    """Settings of live localization, beside the model and the system."""
+    """Settings of live localization, beside the model and the system.
 
+    Example:
+        >>> from pathlib import Path
+        >>> import vapor
+        >>> config = vapor.LiveConfig(map_frame="building", record=Path("drive-%Y%m%d-%H%M%S.mcap"))
+        >>> config.under
+        '/estimate'
+    """
+
+    odometry: OdometrySource = "auto"
+    """auto: use odometry that is published; where there is none ten seconds after all else, make it from the images.
+    recorded: wait for published odometry. visual: make it from the images. both: these correct each other. none: each
+    hypothesis moves with an unknown velocity."""
     under: str = "/estimate"
     """Prefix of published topics, except /tf and /diagnostics."""
     map_frame: str = MAP_FRAME
@@ -47,6 +59,7 @@ class LiveConfig(ModelConfig, FilterConfig):
     def __post_init__(self) -> None:
         ModelConfig.__post_init__(self)
         FilterConfig.__post_init__(self)
+        require_odometry_source(self.odometry)
         require_within(self, tf_ahead_s=(0.0, 10.0), foxglove_port=(0, 65535))
         if not re.fullmatch(r"(/[A-Za-z_]\w*)+", self.under):
             raise VaporTrackError(f"under is {self.under!r}, expected a prefix of topics, such as /estimate")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections import deque
 from collections.abc import Collection
@@ -10,22 +11,23 @@ import numpy as np
 
 from sequences.live.reader import LiveReader
 from sequences.reading.counts import OVERTAKEN
-from vapor.robot.belief import Anchor
+from vapor.robot.belief import Anchor, LiveBelief
 from vapor.robot.recorder import MessageRecorder
 
 _SILENT_S, _CAMERA_SILENT_S = 1.0, 5.0  # of all images, and of one camera among several
 _ODOMETRY_SILENT_S = 0.5
 _LATENCIES = 1000
 _REFUSED = "refused"
+_NUMBER = re.compile(r"[+-]?\d+(\.\d+)?")
 _USUAL = (OVERTAKEN, _REFUSED)
 _APART, _ENOUGH_IMAGES = "images and odometry are by different clocks", 10
 
 
 class Health:
-    """Counts and latencies, and the times of the last messages; without a reader until topics are found."""
+    """Counts and latencies, and the times of the last messages; without a belief until topics are found."""
 
     def __init__(self) -> None:
-        self.reader: LiveReader | None = None
+        self.belief: LiveBelief | None = None
         self.recorder: MessageRecorder | None = None
         self.localized = self.refused = 0
         self._image_s = self._odometry_s = time.monotonic()
@@ -33,6 +35,11 @@ class Health:
         self._left_out: set[str] = set()
         self._latencies_ms: deque[float] = deque(maxlen=_LATENCIES)
         self._noticed: set[str] = set()
+
+    @property
+    def reader(self) -> LiveReader | None:
+        """Who reads the topics; None until they are found."""
+        return None if self.belief is None else self.belief.reader
 
     def image_came(self, camera: str) -> None:
         """Note an image, used or not."""
@@ -71,7 +78,7 @@ class Health:
         now_s = time.monotonic()
         if self.reader is None:
             return None
-        if now_s - self._odometry_s > _SILENT_S:
+        if self.reader.has_odometry and now_s - self._odometry_s > _SILENT_S:
             return f"no odometry for {now_s - self._odometry_s:.0f} s"
         if now_s - self._image_s > _SILENT_S:
             return f"no image for {now_s - self._image_s:.0f} s"
@@ -82,10 +89,11 @@ class Health:
     def values(self) -> dict[str, object]:
         """Counts and times for diagnostics, by name."""
         values: dict[str, object] = {}
-        if self.reader is not None:
+        if self.belief is not None and self.reader is not None:
             values = {"images": self.reader.counts.read, "images localized": self.localized}
             values |= {f"images skipped, {why}": n for why, n in sorted(self.skipped.items())}
             values |= {f"messages left out, {why}": n for why, n in sorted(self.reader.skipped_messages.items())}
+            values |= self.reader.sensors.values(self.belief.frames.gravity)
         if self._latencies_ms:
             median, late = np.percentile(self._latencies_ms, [50, 99])
             values |= {"latency, median, ms": f"{median:.1f}", "latency, 99 %, ms": f"{late:.1f}"}
@@ -95,14 +103,17 @@ class Health:
 
     def notices(self) -> list[str]:
         """Notices for a person, each once: reasons of skipped input, camera, clocks and recording."""
-        reader = self.reader
+        belief, reader = self.belief, self.reader
+        assert belief is not None
         assert reader is not None
         notices = {
             reason: f"left out: {reason}{reader.problems.get(reason, '')}"
             for reason in [*self.skipped, *reader.skipped_messages]
             if reason not in _USUAL
         }
-        notices |= {notice: notice for lens in reader.lenses.values() for notice in lens.notices}
+        told = [notice for lens in reader.lenses.values() for notice in lens.notices]
+        told += [*reader.sensors.notices, *belief.verticals.notices, *belief.frames.notices]
+        notices |= {_NUMBER.sub("0", notice): notice for notice in told}  # other figures are no news
         now_s = time.monotonic()
         for name in reader.lenses if len(reader.lenses) > 1 and now_s - self._image_s < _SILENT_S else ():
             if now_s - self._images_s.setdefault(name, now_s) > _CAMERA_SILENT_S:

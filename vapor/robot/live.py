@@ -32,6 +32,16 @@ def live(
 
     Raises:
         VaporTrackError: no such model, or the system cannot be joined.
+
+    Example:
+        >>> import asyncio
+        >>> import vapor
+        >>> async def follow():
+        ...     async for now in vapor.live("place.safetensors", vapor.LiveConfig(tf=False)):
+        ...         if now.estimate.status != "lost":
+        ...             return now.map_from_base.translation
+        >>> asyncio.run(follow()).shape
+        (3,)
     """
     config = config or LiveConfig()
     loaded = load_model(model, config) if isinstance(model, str) else model

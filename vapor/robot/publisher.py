@@ -174,8 +174,13 @@ class Publisher:
         self._send([pose_message(topic, frame, ns, each.world_from_camera, each.covariance) for ns, each in poses])
 
     def send_motion(self, belief: LiveBelief, at_network: Job | None) -> None:
-        """Publish the base's pose at the latest odometry, and tf; neither while the estimate is not converged."""
+        """Publish the base's pose at the latest odometry, and tf; neither while the estimate is not converged.
+
+        Without odometry it is the pose at the last image, without tf.
+        """
         reader, anchor, now, time_ns = belief.reader, belief.anchor, belief.now, belief.reader.odometry_ns
+        if anchor is not None and not reader.has_odometry:
+            self._send_base(belief, anchor)
         if anchor is None or now is None or time_ns is None:
             return
         if self._sent_anchor is anchor and self._sent_ns == time_ns:
@@ -202,6 +207,17 @@ class Publisher:
             messages.append(tf_message(self._tf_ns, frame, reader.roles.odometry_frame, map_from_odom))
         self._send(messages)
         self._sent_anchor, self._sent_ns, self._sent_reading = anchor, time_ns, reader.readings
+
+    def _send_base(self, belief: LiveBelief, anchor: Anchor) -> None:
+        """Publish the base's pose at the last image, once, while the estimate is converged."""
+        best = anchor.estimate.modes[0]
+        if self._sent_anchor is anchor or anchor.estimate.status != "converged":
+            return
+        carry = belief.reader.base_from_camera.adjoint()
+        topic, frame, pose = f"{self._config.under}/base_pose", self._config.map_frame, belief.map_from_base
+        covariance = carry @ best.covariance @ carry.T
+        self._send([pose_message(topic, frame, anchor.time_ns, pose(anchor.estimate), covariance)])
+        self._sent_anchor = anchor
 
     def send_diagnostics(self, estimate: Estimate | None, silent: str | None, values: Mapping[str, object]) -> None:
         """Publish diagnostics, see `diagnostics_message`."""

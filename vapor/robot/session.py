@@ -12,31 +12,27 @@ import time
 from collections import deque
 from collections.abc import AsyncIterator, Callable
 from contextlib import ExitStack
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from filtering.errors import VaporTrackError
 from filtering.estimate import Estimate
-from filtering.localizer import ParticleLocalizer
 from filtering.posterior import PosePosterior
-from sequences.live.reader import open_live
 from sequences.live.transport import Offer, Transport
 from sequences.options import ReadingOptions
 from sequences.recordings.message_definitions import decoder
 from sequences.recordings.messages import frame_name, stamp_ns
 from sequences.recordings.source import RawMessage
 from vapor.pipeline.model import LoadedModel
-from vapor.pipeline.verticals import Verticals
+from vapor.pipeline.odometry import require_one_source
 from vapor.reporting.rerun_place import Place
 from vapor.reporting.rerun_viewer import RerunViewer
 from vapor.robot.belief import LiveBelief, LiveEstimate
 from vapor.robot.config import LiveConfig
 from vapor.robot.health import Health
 from vapor.robot.network import Job, Network, Observed
+from vapor.robot.opening import open_belief, what_is_used
 from vapor.robot.publisher import Publisher, camera_of_initial_pose
 from vapor.robot.recorder import MessageRecorder, write_snapshot
 from vapor.robot.viewers import FoxgloveServer, WatchingViewer
@@ -67,6 +63,7 @@ class LiveSession:
         config: LiveConfig,
         notify: Callable[[str], None],
     ) -> None:
+        require_one_source(config.odometry, reading)
         self._model, self._transport, self._reading, self._config = model, transport, reading, config
         self._on_estimate: Callable[[LiveEstimate], None] = lambda _: None
         self._notify, self._has_begun = notify, False
@@ -188,34 +185,20 @@ class LiveSession:
                 return
 
     def _open(self) -> LiveBelief:
-        calibration, settings = self._model.observation.description.calibration, self._config.localizer
-        reader = open_live(
-            self._transport,
-            self._events,
+        belief = open_belief(
+            self._model,
+            self._config,
             self._reading,
+            transport=self._transport,
+            events=self._events,
             admit=self._admit,
             waiting=self._say_waiting,
-            late_window_s=settings.late_window_s,
-            usual_cameras=self._model.observation.description.cameras,
         )
-        fit = calibration.odometry if self._config.fitted_odometry else None
-        if fit is not None:
-            settings = replace(settings, odometry_bias=fit.odometry_bias)
-        observation = self._model.observation.seen_by(reader.camera)
-        localizer = ParticleLocalizer(observation, settings, rng=np.random.default_rng(self._config.seed))
-        self._health.reader = reader
-        verticals = Verticals(observation.description, self._config.planar)
-        self._belief = LiveBelief(localizer, observation, reader, fit, self._config.lag, verticals)
-        roles = reader.roles
-        odometry = roles.odometry.name if roles.odometry is not None else f"tf from {roles.odometry_frame}"
-        infos = [camera.info.name for camera in roles.cameras if camera.info is not None]
-        self._notify(f"localizes by {', '.join([*roles.image_topics, *infos])} and {odometry}")
-        missing = [name for name in observation.description.cameras if name not in reader.lenses]
-        if missing and len(observation.description.cameras) > 1 and not self._reading.image_topics:
-            self._notify(f"without {', '.join(missing)}, which the model learned from, too: not there at the start")
-        for notice in [*self._model.observation.notices, *verticals.notices, *self._health.notices()]:
-            self._notify(notice)
-        return self._belief
+        self._belief = self._health.belief = belief
+        used = what_is_used(belief, self._model.observation.description.cameras, self._reading)
+        for line in [*used, *self._model.observation.notices, *self._health.notices()]:
+            self._notify(line)
+        return belief
 
     # --- events -------------------------------------------------------------------------------------
 
@@ -229,7 +212,7 @@ class LiveSession:
                 if time.monotonic() >= next_s:
                     ticks, next_s = ticks + 1, time.monotonic() + _TICK_S
                     if ticks % _REFRESH_TICKS == 0:
-                        belief.reader.heard.refresh()
+                        belief.reader.sensors.look_again(changed=belief.reader.heard.refresh())
                     self._tick(belief)
 
     def _take_all(self, belief: LiveBelief, timeout_s: float) -> None:
@@ -300,8 +283,8 @@ class LiveSession:
 
     def _set_pose(self, message: Any) -> None:
         belief = self._belief
-        if belief is None or (time_ns := belief.reader.odometry_ns) is None:
-            raise VaporTrackError("no odometry yet, expected some before a pose is stated")
+        if belief is None or (time_ns := belief.reader.latest_ns) is None:
+            raise VaporTrackError("no odometry and no image yet, expected some before a pose is stated")
         frame = frame_name(message.header.frame_id)
         if frame != frame_name(self._config.map_frame):
             raise VaporTrackError(f"pose in {frame!r}, expected one in {self._config.map_frame!r}")
@@ -326,7 +309,8 @@ class LiveSession:
 
     def _submit(self, belief: LiveBelief) -> None:
         reader = belief.reader
-        if self._network.job is not None or (frame := reader.newest_frame()) is None:
+        belief.frames.advance()
+        if self._network.job is not None or (frame := belief.frames.newest()) is None:
             return
         arrived_ns = reader.arrived_ns(frame.time_ns)
         pose = reader.odom_from_base(frame.time_ns)

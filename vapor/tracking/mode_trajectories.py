@@ -22,6 +22,13 @@ class ModeTrajectory:
         trajectory: Its poses, (n,).
         weights: Its weight at each step, (n,).
         ranks: Its place among the modes of each step, from 0 for the best one, (n,).
+
+    Example:
+        >>> import vapor
+        >>> modes = vapor.read_mode_trajectories("result/modes.csv")
+        >>> one = next(iter(modes.values()))
+        >>> len(one.trajectory) == len(one.weights) == len(one.ranks)
+        True
     """
 
     identity: int
@@ -41,6 +48,17 @@ def mode_trajectories(times_ns: Iterable[int], estimates: Iterable[Estimate]) ->
 
     Raises:
         ValueError: there are more of the ones than of the others.
+
+    Example:
+        >>> import numpy as np
+        >>> import vapor
+        >>> places = vapor.Poses.from_quat_xyzw([[1, 2, 0], [1, 6, 0]], [[0, 0, 0, 1], [0, 0, 0, 1]])
+        >>> posterior = vapor.PosePosterior.from_estimates(places, 0.1, 0.05, vapor.MeasurementNoise())  # m, rad
+        >>> localizer = vapor.ParticleLocalizer(None, rng=np.random.default_rng(0))
+        >>> estimate = localizer.update(posterior, None)
+        >>> modes = vapor.mode_trajectories([0], [estimate])
+        >>> modes[estimate.modes[1].identity].trajectory.poses.translation.round(1)
+        array([[1., 6., 0.]])
     """
     found: dict[int, list[tuple[int, Poses, float, int]]] = {}
     for time_ns, estimate in zip(times_ns, estimates, strict=True):

@@ -9,9 +9,9 @@ from typing import Any, Literal
 from filtering.errors import require_within
 from vapor.checkpoints.calibration import Calibration
 from vapor.engines.engine import Device
-from vapor.regressors.loss import LossConfig
+from vapor.regressors.loss_config import LossConfig
 from vapor.regressors.network_config import REGRESSORS, NetworkConfig, regressor_class
-from vapor.training.augment import AugmentConfig
+from vapor.training.augment_config import AugmentConfig
 from vapor.training_data.training_set import TrainingError
 
 CameraChoice = Literal["auto", "estimated", "stated"]
@@ -21,8 +21,28 @@ _LARGER = 1.75  # edges of images, where a training may take longer
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """How a network is trained; the defaults are the fast schedule, the paper's are presets."""
+    """How a network is trained; the defaults are the fast schedule, the paper's are presets.
 
+    Example:
+        >>> from dataclasses import replace
+        >>> import vapor
+        >>> vapor.TrainConfig(epochs=10).landmarks
+        True
+        >>> overnight = replace(vapor.PRESETS["auto"], hours=8.0)
+    """
+
+    hours: float = 0.2
+    """Duration of the training, hours, unless `epochs` is given; the time of a step is measured first."""
+    epochs: int | None = None
+    """Number of passes over the training images. Default: as many as `hours` allow, from 4 to `most_epochs`."""
+    landmarks: bool = True
+    """Keep a map of points that the images show, which gives poses to centimetres."""
+    camera: CameraChoice = "auto"
+    """The camera of the landmarks. stated: by CameraInfo or the like. estimated: the one that fits images and poses.
+    auto: estimated where none is stated or where it fits clearly better, else stated."""
+    calibrate: bool = True
+    """At the end, fit the errors of posteriors (and of recorded odometry) on the held-out images, and learn the
+    appearance of the place."""
     network: NetworkConfig = field(default_factory=NetworkConfig)
     """Shape of the network, and of its images."""
     aspect: Literal["camera", "network"] = "camera"
@@ -37,14 +57,6 @@ class TrainConfig:
     """Kernel width of posterior samples along each axis, metres, for the density by which epochs are evaluated."""
     bandwidth_rotation_rad: float = 0.1
     """Kernel width about each axis, radians."""
-    calibrate: bool = True
-    """At the end, fit the errors of posteriors (and of recorded odometry) on the held-out images, and learn the
-    appearance of the place."""
-    landmarks: bool = True
-    """Keep a map of points that the images show, which gives poses to centimetres."""
-    camera: CameraChoice = "auto"
-    """The camera of the landmarks: the stated one; the one that fits images and poses (estimated); or the latter where
-    it fits clearly better (auto). Where no camera is stated, the one that fits."""
     pretrained_weights: Path | None = None
     """Initial weights of the backbone: ImageNet's, as safetensors or a torch state dict with torchvision's names, or
     the weights of a model trained here. Without it a ResNet starts from random weights."""
@@ -56,15 +68,11 @@ class TrainConfig:
     initial_log_variance: float = -4.0
     """variational: approximate log σ² of the latent before training, unless `initial_model` gives one. With a low one
     the pose map uses early what the encoder learns, which noise would hide; the paper has 0."""
-    epochs: int | None = None
-    """Number of passes over the training images; None for as many as `hours` allow, from 4 to `most_epochs`."""
     most_epochs: int = 200
-    """Greatest number of epochs where `epochs` is None."""
-    hours: float = 0.2
-    """Duration of the training, hours, where `epochs` is None; the time of a step is measured first."""
+    """Greatest number of epochs, unless `epochs` is given."""
     larger_from_hours: float | None = None
-    """aspect camera, epochs None: from this number of `hours` on, the edges of images are 1.75 times as long as in
-    `network`; None for never."""
+    """With aspect camera and without `epochs`: from this number of `hours` on, the edges of images are 1.75 times as
+    long as in `network`."""
     finish: float = 0.2
     """After its evaluation the model goes on learning from all images, held-out ones too, for this fraction of the
     epochs; with 0 it never learns from held-out images."""

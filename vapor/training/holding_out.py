@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from vapor.calibration.image_errors import LEAST_IMAGES
+from vapor.calibration.error_correlation import LEAST_IMAGES
 from vapor.checkpoints.scene_scale import spaced, typical_side_m
 from vapor.training_data.ground import (
     DIRECTION_RAD,

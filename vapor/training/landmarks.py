@@ -14,8 +14,13 @@ from filtering.se3 import Poses
 from filtering.training_prior import TrainingPrior
 from vapor.calibration.calibrate import NUM_SAMPLES
 from vapor.calibration.camera_fit import fit_camera
-from vapor.calibration.error_correlation import ErrorCorrelation, Travel, effective_images, outlier_lengths
-from vapor.calibration.image_errors import LEAST_IMAGES
+from vapor.calibration.error_correlation import (
+    LEAST_IMAGES,
+    ErrorCorrelation,
+    Travel,
+    effective_images,
+    outlier_lengths,
+)
 from vapor.calibration.ood_model import extract_features
 from vapor.calibration.verification import SeenPlaces, evidence, fit_reach, fit_verification, none_right
 from vapor.calibration.verified_errors import VerifiedErrors, fit_verified_errors, leave_out

@@ -6,9 +6,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from types import MappingProxyType
 
-from vapor.regressors.loss import LossConfig
+from vapor.regressors.loss_config import LossConfig
 from vapor.regressors.network_config import Head, NetworkConfig, regressor_class
-from vapor.training.augment import AugmentConfig
+from vapor.training.augment_config import AugmentConfig
 from vapor.training.config import TrainConfig
 
 _RESNET18 = NetworkConfig("resnet18", image_width=224, image_height=224, shortest_edge=256)

@@ -31,7 +31,7 @@ from vapor.training_data.training_set import TrainingError, TrainingSet
 
 def train(
     data: Sequence[Path | str],
-    output: Path,
+    output: Path | str,
     config: TrainConfig,
     *,
     validation: Sequence[Path | str] = (),
@@ -54,6 +54,13 @@ def train(
         TrainingError: unusable data or configuration, or a loss that is not finite.
         SequenceError: unreadable data.
         CheckpointError: an interrupted training of another configuration.
+
+    Example:
+        >>> from dataclasses import replace
+        >>> import vapor
+        >>> config = replace(vapor.PRESETS["auto"], epochs=1, landmarks=False, calibrate=False)  # to try it out
+        >>> result = vapor.train(["walk1.mcap", "walk2.mcap"], "mine.safetensors", config, validation=["walk3.mcap"])
+        >>> model = vapor.VaporObservationModel.from_checkpoint("mine.safetensors")
     """
     if validation or config.validation_fraction > 0:
         require_no_leakage(data, validation or None)
@@ -64,7 +71,7 @@ def train(
 
 def train_on(
     sequences: Mapping[str, Iterable[Frame]],
-    output: Path,
+    output: Path | str,
     config: TrainConfig,
     *,
     validation: Mapping[str, Iterable[Frame]] | None = None,

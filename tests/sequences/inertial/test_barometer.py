@@ -10,9 +10,9 @@ from filtering.observation import Observation
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from filtering.storeys import Storeys
-from sequences.inertial.barometer import LiftRides, height_of, read_rides, rides_in
-from sequences.inertial.samples import read_inertial
+from sequences.inertial.barometer import Barometer, LiftRides, height_of, rides_in
 from sequences.inertial.sequence import InertialSequence
+from sequences.inertial.topics import read_inertial, read_rides
 from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
 from sequences.recordings.mcap_writer import ros_header
@@ -122,6 +122,74 @@ def test_odometry_that_trembles_stands_at_any_rate(hz):
         moved = motion.previous_from_current.translation - trembles.previous_from_current.translation
         risen_m -= moved[1]
     assert risen_m == pytest.approx(lifts.rides[0].heights_m[-1], rel=0.05)
+
+
+# --- pressures that come as time passes -----------------------------------------------------------------
+
+
+def followed(truth, *, hz=10.0, lasts_s=60.0, seed=0, moves=lambda seconds: False):
+    """What each motion of odometry rises by, and the rides, by pressures that come as time passes."""
+    barometer, lifts, risen = Barometer("/pressure"), LiftRides(), []
+    times_ns, measured = heights(truth, lasts_s=lasts_s, noise_m=0.05, seed=seed)
+    at = 0
+    for i in range(round(lasts_s * hz)):
+        end_ns = BEGIN_NS + round((i + 1) / hz * 1e9)
+        while at < len(times_ns) and times_ns[at] <= end_ns:
+            barometer.take(int(times_ns[at]), pressure_of(measured[at]))
+            at += 1
+        if barometer.has_news():
+            lifts.extend(barometer.rides(goes_on=True))
+            barometer.forget_before(barometer.last_ns - 120 * 10**9)
+        tangent = np.array([0, 0, 1.0 / hz if moves(i / hz) else 0.0, 0, 0, 0])
+        motion = Odometry(Poses.exp(tangent), 1e-6 * np.eye(6), 1 / hz)
+        found = added(lifts, i / hz, (i + 1) / hz, motion)
+        risen.append(-found.previous_from_current.translation[1])
+    return np.array(risen), lifts, barometer
+
+
+@pytest.mark.parametrize("by_m", [3.0, -3.0, 12.0])
+@pytest.mark.parametrize("hz", [3.0, 30.0])
+def test_a_ride_that_shows_as_it_goes_is_made_up_for_within_seconds_and_without_a_leap(by_m, hz):
+    risen, lifts, _ = followed(lambda t: ride(t, by_m=by_m), hz=hz)
+    along = np.cumsum(risen)
+    seconds = (np.arange(len(risen)) + 1) / hz
+    assert along[-1] == pytest.approx(by_m, abs=0.35)
+    off = np.abs(along - ride(seconds, by_m=by_m))
+    assert off[seconds < 19.0].max() < 0.01
+    assert off[seconds > 20.0 + abs(by_m) + 4.0].max() < 0.4
+    assert np.abs(risen * hz).max() < 5.0  # metres a second
+    assert len(lifts.rides) == 1
+
+
+def test_a_robot_that_moves_while_the_pressure_changes_is_on_stairs_and_gets_nothing():
+    risen, *_ = followed(ride, moves=lambda seconds: 15.0 < seconds < 30.0)
+    np.testing.assert_array_equal(risen, np.zeros(len(risen)))
+
+
+def test_what_is_left_of_a_ride_comes_while_the_robot_drives_on():
+    risen, *_ = followed(ride, moves=lambda seconds: seconds > 23.5)
+    assert risen.sum() == pytest.approx(3.0, abs=0.4)
+
+
+def test_a_change_that_goes_back_at_once_is_undone():
+    """As where a door lets the pressure of another room in for some seconds."""
+    for seed in range(3):
+        risen, *_ = followed(lambda t: ride(t, by_m=2.5) - ride(t, by_m=2.5, begins_s=22.7), seed=seed)
+        assert np.cumsum(risen).max() > 1.0
+        assert abs(risen.sum()) < 0.5
+
+
+def test_hours_of_pressure_are_not_remembered():
+    def rides(t):
+        return sum(
+            ride(t, begins_s=begin, by_m=(-1) ** number * 3.0) for number, begin in enumerate(range(60, 1200, 60))
+        )
+
+    risen, lifts, barometer = followed(rides, hz=2.0, lasts_s=1200.0)
+    assert len(barometer._pressure) < 2500
+    assert len(lifts.rides) == 19
+    assert risen.sum() == pytest.approx(3.0, abs=1.0)
+    assert np.abs(np.cumsum(risen) - rides(np.arange(2400) / 2.0))[::120].max() < 1.0
 
 
 # --- the storey afterwards ------------------------------------------------------------------------------

@@ -142,9 +142,25 @@ def test_across_a_gap_and_without_rates_odometry_stays_as_it_is():
         assert rms(after[:15]) < 0.7 * rms(before[:15])
 
 
-def test_unknown_motion_stays_unknown():
-    samples, _ = walk(1.0, rng=RNG(0))
-    assert GyroscopeFusion(samples).step(BEGIN_NS, BEGIN_NS + FRAME_NS, None) is None
+def test_without_odometry_the_turn_is_known_and_the_way_is_not():
+    bias = np.array([0.02, -0.015, 0.01])
+    samples, poses = walk(60.0, rng=RNG(0), bias=bias, white=3e-4)
+    fusion, *_ = fused(samples, poses, rng=RNG(1), std=0.002)
+    found = fusion.step(BEGIN_NS + 30 * 10**9, BEGIN_NS + 32 * 10**9, None)
+    assert not found.knows_translation
+    error = found.previous_from_current.between(poses[3000].between(poses[3200])).log()[3:]
+    stated = np.sqrt(np.diag(found.covariance)[3:])
+    assert (np.abs(error) < 3 * stated).all()
+    assert stated.max() < 0.05
+    assert "1 motions without odometry turn as the gyroscope does" in fusion.notices[0]
+    blind = replace(samples, turn_rate=np.full_like(samples.turn_rate, np.nan))
+    assert GyroscopeFusion(blind).step(BEGIN_NS, BEGIN_NS + FRAME_NS, None) is None
+
+
+def test_a_gyroscope_that_is_wrong_does_not_say_how_it_turned_without_odometry():
+    samples, poses = walk(60.0, rng=RNG(0))
+    fusion, *_ = fused(replace(samples, turn_rate=-samples.turn_rate), poses, rng=RNG(1), std=0.002)
+    assert fusion.step(BEGIN_NS + 30 * 10**9, BEGIN_NS + 32 * 10**9, None) is None
 
 
 def test_a_simulated_unit_measures_the_motion_to_within_its_errors():
@@ -167,7 +183,7 @@ class ImagesOnly:
     """A sequence of frames at hand."""
 
     path, camera, image_description, odometry_description = Path("frames"), None, None, None
-    has_odometry, notices, skipped, resolved = True, [], Counter(), {}
+    odometry_origin, notices, skipped, resolved = "recorded", [], Counter(), {}
 
     def __init__(self, frames):
         self.frames, self.num_images, self.counts = frames, len(frames), ImageCounts(len(frames))

@@ -1,6 +1,7 @@
 """Gravity by an inertial unit: right along a walk, and what becomes of units, gaps, saturation and wrong drivers."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,9 +9,10 @@ import pytest
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.frame import Gravity
-from sequences.inertial.gravity import GravityTrack, gravity_along
-from sequences.inertial.samples import STANDARD_GRAVITY, InertialSamples, prepared, read_inertial
+from sequences.inertial.gravity import GravityFilter
+from sequences.inertial.samples import InertialSamples, InertialUnit
 from sequences.inertial.sequence import InertialSequence, beside_true_poses
+from sequences.inertial.topics import read_inertial
 from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
 from tests.helpers.inertial_files import GRAVITY, IMU, inertial_messages, with_messages, without_orientation
@@ -80,40 +82,77 @@ def standing(seconds, hz, *, rng, force_std=0.3, turn=(0.0, 0.0, 0.0)):
     return InertialSamples(times_ns, force, np.tile(np.array(turn, float), (count, 1))), up[:, :, 2]
 
 
+def gravity_after(samples):
+    """Gravity at the last of some samples."""
+    return gravity_along(samples)[-1]
+
+
+def gravity_along(samples):
+    """Gravity at each sample."""
+    gravity = GravityFilter()
+    gravity.extend(samples)
+    return [gravity.at(time_ns) for time_ns in samples.times_ns.tolist()]
+
+
 def test_noise_of_the_force_averages_out_and_the_stated_error_holds():
     off = []
     for seed in range(20):
         samples, up = standing(10.0, 100.0, rng=RNG(seed), force_std=0.5)
-        track = gravity_along(samples)
-        off.append(np.linalg.norm(track.up[-1] - up[-1]) / np.sqrt(2) / track.std_rad[-1])
+        found = gravity_after(samples)
+        off.append(np.linalg.norm(found.up - up[-1]) / np.sqrt(2) / found.std_rad)
     assert np.sqrt(np.mean(np.square(off))) < 1.0
-    assert track.std_rad[-1] < 0.08
+    assert found.std_rad < 0.08
 
 
 def test_while_it_turns_the_direction_goes_along():
     samples, up = standing(5.0, 100.0, rng=RNG(0), force_std=0.0, turn=(0.7, -0.4, 0.2))
-    track = gravity_along(samples)
-    assert np.degrees(np.arccos(np.clip(np.vecdot(track.up, up), -1, 1))).max() < 0.5
+    found = np.array([each.up for each in gravity_along(samples)])
+    assert np.degrees(np.arccos(np.clip(np.vecdot(found, up), -1, 1))).max() < 0.5
+
+
+def test_samples_of_a_stream_give_the_gravity_of_a_whole_recording():
+    samples, _ = standing(5.0, 100.0, rng=RNG(0), turn=(0.3, 0.1, 0.0))
+    whole, stream = GravityFilter(), GravityFilter()
+    whole.extend(samples)
+    for begin in range(0, 500, 7):
+        own = slice(begin, begin + 7)
+        stream.extend(InertialSamples(samples.times_ns[own], samples.force[own], samples.turn_rate[own]))
+        time_ns = int(samples.times_ns[own][-1])
+        stream.forget_before(time_ns - 10**9)
+        assert stream.at(time_ns) == whole.at(time_ns)
+    assert stream.at(int(samples.times_ns[0])) is None  # forgotten
+    assert stream.at(int(samples.times_ns[450])) == whole.at(int(samples.times_ns[450]))
+
+
+def test_gravity_of_before_counts_less_the_longer_ago_it_is():
+    samples, _ = standing(5.0, 100.0, rng=RNG(0))
+    gravity = GravityFilter()
+    gravity.extend(samples)
+    last_ns = int(samples.times_ns[-1])
+    now, later = gravity.at(last_ns), gravity.at(last_ns + 50_000_000)
+    assert later.up == now.up
+    assert later.std_rad > now.std_rad + 0.005
+    assert gravity.at(last_ns + 110_000_000) is None
 
 
 def test_while_the_frame_accelerates_the_stated_error_is_larger():
     samples, _ = standing(10.0, 100.0, rng=RNG(0), force_std=0.02)
     shaken = samples.force.copy()
     shaken[500:] += 1.5 * np.sin(np.arange(500) / 8.0)[:, None] * [1.0, 0.5, 0.7]
-    calm, moved = gravity_along(samples), gravity_along(replace(samples, force=shaken))
-    assert moved.std_rad[-1] > 1.3 * calm.std_rad[-1]
-    assert np.degrees(np.arccos(moved.up[-1] @ [0, 0, 1])) < 3 * np.degrees(moved.std_rad[-1])
+    calm, moved = gravity_after(samples), gravity_after(replace(samples, force=shaken))
+    assert moved.std_rad > 1.3 * calm.std_rad
+    assert np.degrees(np.arccos(moved.up @ np.array([0, 0, 1]))) < 3 * np.degrees(moved.std_rad)
 
 
 def test_the_rate_of_the_samples_does_not_matter():
-    stds = [gravity_along(standing(10.0, hz, rng=RNG(0), force_std=0.0)[0]).std_rad[-1] for hz in (20.0, 400.0)]
+    stds = [gravity_after(standing(10.0, hz, rng=RNG(0), force_std=0.0)[0]).std_rad for hz in (20.0, 400.0)]
     assert stds[0] == pytest.approx(stds[1], rel=0.1)
 
 
 def test_without_turn_rates_the_error_is_larger(recorded):
     samples, _ = standing(5.0, 100.0, rng=RNG(0), force_std=0.02)
-    blind = gravity_along(replace(samples, turn_rate=np.full_like(samples.turn_rate, np.nan)))
-    assert blind.std_rad[-1] > 2 * gravity_along(samples).std_rad[-1]
+    blind = gravity_after(replace(samples, turn_rate=np.full_like(samples.turn_rate, np.nan)))
+    assert blind.std_rad > 2 * gravity_after(samples).std_rad
 
 
 # --- bad input ------------------------------------------------------------------------------------------
@@ -139,14 +178,44 @@ def test_frames_in_a_gap_have_no_gravity_and_are_counted(recorded):
     assert any("of 12 images have no gravity" in notice for notice in notices)
 
 
+def message(number, *, force=(0.0, 0.0, GRAVITY), quat=(0.0, 0.0, 0.0, 0.0), tilt=-1.0):
+    """A stamp and a message of a unit that lies still."""
+    x, y, z, w = quat
+    axes = [SimpleNamespace(x=fx, y=fy, z=fz) for fx, fy, fz in (force, (0.0, 0.0, 0.01))]
+    return number * 10**7, SimpleNamespace(
+        linear_acceleration=axes[0],
+        angular_velocity=axes[1],
+        orientation=SimpleNamespace(x=x, y=y, z=z, w=w),
+        linear_acceleration_covariance=np.zeros(9),
+        angular_velocity_covariance=np.zeros(9),
+        orientation_covariance=np.diag([tilt, tilt, 1.0]).ravel(),
+    )
+
+
 def test_saturated_samples_are_left_out_and_counted():
-    table = np.zeros((100, 14))
-    table[:, [2, 9, 10, 11]] = [GRAVITY, 1.0, 1.0, 1.0]
-    table[40:46, 0] = 19.6
-    samples = prepared(IMU, np.arange(100, dtype=np.int64) * 10**7, table, np.eye(3))
+    unit = InertialUnit(IMU, np.eye(3))
+    for number in range(100):
+        unit.take(*message(number, force=(19.6 if 40 <= number < 46 else 0.0, 0.0, GRAVITY)))
+    samples = unit.samples()
     assert np.isnan(samples.force[40:46]).all()
     assert np.isfinite(samples.force[:40]).all()
-    assert "6 samples are saturated" in samples.notices[0]
+    assert "6 samples are saturated" in unit.notices[0]
+
+
+def test_a_stream_of_messages_is_judged_as_it_comes_and_forgets():
+    unit, found, largest = InertialUnit(IMU, np.eye(3)), [], 0
+    for number in range(30_000):  # five minutes, the last of them in g
+        unit.take(*message(number, force=(0.0, 0.0, GRAVITY if number < 24_000 else 1.0)))
+        largest = max(largest, len(unit._raw))
+        if number % 10 == 9:
+            found.append(unit.samples())
+    assert len(np.concatenate([each.times_ns for each in found])) == 30_000
+    assert largest < 1100  # ten seconds
+    lengths = np.concatenate([each.force[:, 2] for each in found])
+    np.testing.assert_allclose(lengths[:24_000], GRAVITY)
+    np.testing.assert_allclose(lengths[-5000:], GRAVITY, rtol=1e-4)
+    assert "taken for one in g" in unit.notices[0]
+    assert unit.samples() is None
 
 
 def test_an_orientation_that_contradicts_the_force_is_not_used(recorded):
@@ -224,14 +293,16 @@ def test_a_unit_with_other_axes_than_tf_states_is_said():
     assert not beside_true_poses(right)
 
 
-def test_an_orientation_of_a_huge_variance_is_none_and_gravity_of_no_use_is_unknown():
-    samples = InertialSamples(np.arange(3) * 10**7, np.full((3, 3), np.nan), np.full((3, 3), np.nan))
-    table = np.zeros((20, 14))
-    table[:, 2], table[:, 6:10] = STANDARD_GRAVITY, [0.1, 0.0, 0.0, np.sqrt(0.99)]
-    table[:, 10:13], table[:, 13] = 1.0, 1e6
-    found = prepared("/imu", np.arange(20) * 10**7, table, np.eye(3))
-    assert found.up is None
-    table[:, 13] = 1e-4
-    assert prepared("/imu", np.arange(20) * 10**7, table, np.eye(3)).up is not None
-    track = GravityTrack(samples.times_ns, np.tile([0.0, 0.0, 1.0], (3, 1)), np.array([0.01, 0.6, 1000.0]))
-    assert [track.at(time_ns) is None for time_ns in samples.times_ns.tolist()] == [False, True, True]
+def test_an_orientation_of_a_huge_variance_is_none():
+    for tilt, is_one in ((1e6, False), (1e-4, True)):
+        unit = InertialUnit("/imu", np.eye(3))
+        for number in range(20):
+            unit.take(*message(number, quat=(0.1, 0.0, 0.0, np.sqrt(0.99)), tilt=tilt))
+        assert (unit.samples().up is not None) == is_one
+
+
+def test_gravity_of_no_use_is_unknown():
+    for std_rad, is_known in ((0.01, True), (0.6, False), (1000.0, False)):
+        unknown, up = np.full((3, 3), np.nan), np.tile([0.0, 0, 1], (3, 1))
+        samples = InertialSamples(np.arange(3) * 10**7, unknown, unknown, up, std_rad)
+        assert (gravity_after(samples) is not None) == is_known

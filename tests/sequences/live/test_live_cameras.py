@@ -11,9 +11,9 @@ from sequences.options import ReadingOptions
 from sequences.reader import SequenceReader
 from sequences.recordings.source import RawMessage
 from tests.helpers.fake_transport import messages_of, offering
+from tests.helpers.live_reading import Robot
 from tests.helpers.rigs import CAMERA_FROM_LEFT, FRONT, LEFT, NARROW, RIGHT, WIDE, Rig
 from tests.helpers.sequence_files import CAMERA, MS, Walk, close
-from tests.sequences.live.test_live_reader import Robot
 
 ALL = ReadingOptions(image_topic=f"{FRONT},{LEFT},{RIGHT}")
 EVERY = 3

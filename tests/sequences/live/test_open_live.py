@@ -1,81 +1,28 @@
 """Waiting for a system in which something is not there yet."""
 
-import queue
-from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 
 from sequences.errors import SequenceError
-from sequences.live.reader import LiveReader, open_live
 from sequences.options import ReadingOptions
 from sequences.reader import SequenceReader
-from sequences.recordings.source import TF_STATIC, RawMessage
-from tests.helpers.fake_transport import FakeTransport, messages_of
+from sequences.recordings.source import TF_STATIC
+from tests.helpers.fake_transport import messages_of
 from tests.helpers.sequence_files import CAMERA, IMAGES, ODOMETRY
+from tests.helpers.waiting import Ended, Wait
 
 INFO = "/camera/camera_info"
 TOPICS = (IMAGES, ODOMETRY, INFO, TF_STATIC)
 WITHIN_S = 0.5  # of what is looked at now and then
 
 
-class Ended(Exception):
-    """A person wants to wait no longer."""
-
-
-class Wait(queue.SimpleQueue[Any]):
-    """The events of a system that changes as time passes, which it does while somebody waits for an event."""
-
-    def __init__(self, raws: list[RawMessage]) -> None:
-        self.raws, self.transport = raws, FakeTransport()
-        self.changes: list[tuple[float, Callable[[], Any]]] = []  # seconds after the begin, and what happens then
-        self.now_s = 0.0
-        self.said: list[tuple[float, str]] = []
-        self.admitted: list[Any] = []
-
-    def get(self, block: bool = True, timeout: float | None = None) -> Any:
-        assert timeout is not None
-        assert timeout > 0
-        assert self.now_s < 100, self.said
-        while self.changes and self.changes[0][0] <= self.now_s:
-            self.changes.pop(0)[1]()
-        if self.empty():
-            self.now_s += timeout
-            raise queue.Empty
-        return super().get(block, timeout)
-
-    def offer(self, *topics: str) -> None:
-        for raw in self.raws:
-            if raw.topic in topics:
-                self.transport.offer(raw.topic, raw.type, latched=raw.topic == TF_STATIC)
-
-    def say(self, *topics: str) -> None:
-        for raw in self.raws:
-            if raw.topic in topics:
-                self.transport.say(raw)
-
-    def open(self, options: ReadingOptions | None = None, *, leave_out: str = "") -> LiveReader:
-        """Open what messages tell, but for those of one topic."""
-
-        def admit(event: Any) -> RawMessage | None:
-            self.admitted.append(event)
-            if event == "end":
-                raise Ended
-            return event if isinstance(event, RawMessage) and event.topic != leave_out else None
-
-        def waiting(problem: str) -> None:
-            self.said.append((self.now_s, problem))
-
-        return open_live(self.transport, self, options or ReadingOptions(), admit=admit, waiting=waiting)
-
-
 @pytest.fixture
 def wait(walk_file: Path, monkeypatch: pytest.MonkeyPatch) -> Wait:
     wait = Wait(messages_of(walk_file))
-    monkeypatch.setattr("sequences.live.reader.time", SimpleNamespace(monotonic=lambda: wait.now_s))
+    monkeypatch.setattr("sequences.live.opening.time", SimpleNamespace(monotonic=lambda: wait.now_s))
     return wait
 
 

@@ -19,6 +19,7 @@ from sequences.recordings.message_definitions import decoder
 from sequences.recordings.source import TF, TF_STATIC, RawMessage
 from tests.helpers import foxglove_files, tf_files
 from tests.helpers.fake_transport import FakeTransport
+from tests.helpers.inertial_files import IMU, inertial_messages, with_messages
 from tests.helpers.sequence_files import BEGIN_NS, FORMS, IMAGES, ODOMETRY, rewrite
 
 SECOND = 10**9
@@ -265,3 +266,14 @@ def test_topics_that_cannot_be_published_are_told_and_the_others_published(
 def test_options_that_cannot_be_are_refused(name: str, value: float) -> None:
     with pytest.raises(VaporTrackError, match=name):
         ReplayOptions(**{name: value})  # pyright: ignore[reportArgumentType]
+
+
+def test_inertial_units_and_barometers_are_published_as_well(walk_file: Path, tmp_path: Path) -> None:
+    imu = with_messages(walk_file, tmp_path / "imu.mcap", IMU, "sensor_msgs/Imu", inertial_messages(seconds=0.5))
+    pressures = [(BEGIN_NS + n * 10**8, {"fluid_pressure": 101_325.0}) for n in range(5)]
+    path = with_messages(imu, tmp_path / "both.mcap", "/pressure", "sensor_msgs/FluidPressure", pressures)
+    transport = FakeTransport()
+    for _ in replay(path, transport):
+        pass
+    assert (transport.advertised[IMU], len(transport.published[IMU])) == (("sensor_msgs/Imu", False), 50)
+    assert len(transport.published["/pressure"]) == 5

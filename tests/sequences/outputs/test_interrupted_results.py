@@ -105,6 +105,19 @@ def test_kills_at_random_moments_leave_whole_results(tmp_path):
         assert os.listdir(tmp_path) == ["out"]
 
 
+@pytest.mark.parametrize("removed", ["new", "added", "replaced"])
+def test_a_process_that_was_killed_while_it_removed_its_workspace_leaves_complete_results(removed, tmp_path):
+    write(tmp_path, "second")
+    work = tmp_path / ".out.0123abcd.partial"
+    for folder, file in (("new", "c.txt"), ("added", "b.json"), ("replaced", "000000.a.tum")):
+        if folder != removed:
+            (work / folder).mkdir(parents=True)
+            (work / folder / file).write_text("first")
+    verify(tmp_path, WRITES)
+    assert whole(tmp_path) == "second"
+    assert not work.exists()
+
+
 # --- full disks -----------------------------------------------------------------------------------
 
 

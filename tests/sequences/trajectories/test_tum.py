@@ -27,6 +27,20 @@ def test_a_trajectory_survives_its_file(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["t.tum"]
 
 
+def test_evo_reads_what_is_written_and_its_own_files_are_read(tmp_path: Path) -> None:
+    evo = pytest.importorskip("evo.tools.file_interface", reason="evo is an extra: GPL")
+    times_ns = 1_700_000_000_000_000_000 + 50_000_000 * np.arange(20)
+    poses = Poses.exp(np.random.default_rng(0).normal(scale=2.0, size=(20, 6)))
+    write_tum(tmp_path / "ours.tum", Trajectory(times_ns, poses))
+    theirs = evo.read_tum_trajectory_file(tmp_path / "ours.tum")
+    np.testing.assert_allclose(theirs.poses_se3, poses.as_matrix(), atol=5e-9)
+    np.testing.assert_allclose(theirs.timestamps, times_ns * 1e-9, atol=1e-6)
+    evo.write_tum_trajectory_file(tmp_path / "theirs.tum", theirs)
+    back = read_tum(tmp_path / "theirs.tum")
+    np.testing.assert_allclose(back.poses.as_matrix(), poses.as_matrix(), atol=1e-8)
+    assert np.abs(back.times_ns - times_ns).max() < 1000  # evo has seconds as floats
+
+
 @given(st.integers(-(2**62), 2**62))
 def test_times_lose_no_nanosecond(time_ns: int) -> None:
     assert parse_time_ns(format_time(time_ns), "") == time_ns

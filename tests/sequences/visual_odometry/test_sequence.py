@@ -11,9 +11,8 @@ from filtering.se3 import Poses
 from sequences.frame import Camera, Frame
 from sequences.reading.counts import BETWEEN, ImageCounts
 from sequences.visual_odometry.sequence import VisualSequence
-from tests.helpers.boards import CAMERA
+from tests.helpers.boards import CAMERA, STEP_NS, images_of, walk
 from tests.helpers.simulation import motion
-from tests.sequences.visual_odometry.test_visual_odometry import STEP_NS, images_of, walk
 
 IMAGES = images_of(walk("sideways", 30))
 
@@ -23,7 +22,7 @@ class Frames:
 
     def __init__(self, frames, camera=CAMERA):
         self.frames, self.path, self.camera = frames, Path("memory"), camera
-        self.num_images, self.has_odometry = len(frames), False
+        self.num_images, self.odometry_origin = len(frames), None
         self.image_description = self.odometry_description = None
         self.notices, self.resolved = ["a notice"], {}
         self.counts = ImageCounts(len(frames), len(frames), len(frames))
@@ -45,7 +44,7 @@ def test_every_frame_but_the_first_has_the_motion_since_the_one_before():
     found = list(sequence)
     assert [each.odometry is None for each in found] == [True] + [False] * 30
     assert all(each.odometry.duration_s == pytest.approx(STEP_NS * 1e-9) for each in found[1:])
-    assert (sequence.has_odometry, sequence.odometry_description) == (True, "visual")
+    assert (sequence.odometry_origin, sequence.odometry_description) == ("visual", "visual")
     assert sequence.notices == ["a notice"]
     again = [each.odometry.previous_from_current.translation for each in list(sequence)[1:]]
     np.testing.assert_array_equal(again, [each.odometry.previous_from_current.translation for each in found[1:]])

@@ -1,7 +1,6 @@
 """Visual odometry on images of textured boards whose poses are known."""
 
 from dataclasses import replace
-from functools import cache
 from itertools import islice
 
 import numpy as np
@@ -12,39 +11,7 @@ from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.datasets.frames import posed_frames
 from sequences.visual_odometry.odometry import VisualOdometry
-from tests.helpers.boards import CAMERA, Board, Room
-
-STEP_NS = 33_333_333
-ROOM = Room()
-
-
-def poses_of(tangents):
-    """Poses (n + 1,) along motions (n, 6), from the identity."""
-    poses = [Poses.identity()]
-    for tangent in tangents:
-        poses.append(poses[-1] @ Poses.exp(np.asarray(tangent, np.float64)))
-    return Poses.stack(poses)
-
-
-@cache
-def walk(kind, count=90):
-    """A camera's true poses along a way of its own, thirty images a second."""
-    t = np.arange(count) / 30.0
-    sway, still = 0.02 * np.sin(2.0 * t), np.zeros_like(t)
-    return poses_of(
-        np.column_stack(
-            {
-                "sideways": [np.full_like(t, 0.015), 0.1 * sway, 0.1 * sway, 0.2 * sway, 0.3 * sway, still],
-                "turning": [still, still, still, 0.3 * sway, 0.8 * sway, still],
-                "standing": [still] * 6,
-            }[kind]
-        )
-    )
-
-
-def images_of(poses, *, room=ROOM, seed=0, moved=lambda _: ()):
-    rng = np.random.default_rng(seed)
-    return [room.seen_from(poses[i], rng, moved(i)) for i in range(len(poses))]
+from tests.helpers.boards import CAMERA, ROOM, STEP_NS, Board, Room, images_of, walk
 
 
 def followed(images):

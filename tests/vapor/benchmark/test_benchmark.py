@@ -9,6 +9,7 @@ from filtering.localizer import ParticleLocalizer
 from sequences.scenes.scene import Scene
 from tests.helpers.checks import no_checks
 from tests.helpers.full import full
+from tests.helpers.measured import tables_on_the_page
 from tests.helpers.pages import ReadPage
 from vapor.benchmark.__main__ import main
 from vapor.benchmark.localization import failed
@@ -98,6 +99,8 @@ def test_the_summary_has_every_run_and_the_tables_every_kind(folder, tiny_model,
             assert each["name"] in out
     for said in ("something unique in the first half: 1 runs", "nothing unique: 1 runs", "carried off: 1 runs"):
         assert f"ceiling, {said}" in out
+    for name in ("walks", "standing"):
+        assert tables_on_the_page(name, folder / "summary.json")
     page = ReadPage.of((folder / "report.html").read_text())
     for kind, ablations in summary["summary"]["ceiling"].items():
         sure = ablations["full"]["belief"]["filter"]["converged_images"]["images"]
@@ -141,6 +144,8 @@ def test_runs_at_several_rates_are_cut_from_one_recording(tiny_model, tmp_path, 
     assert "ceiling, 3 images a second: 1 runs" in capsys.readouterr().out
     runs = json.loads((tmp_path / "summary.json").read_text())["runs"]
     assert {each["kind"]: each["images"] for each in runs} == {"rate-3": 15, "rate-10": 50, "rate-30": 150}
+    for name in ("rates", "bfloat16"):
+        assert tables_on_the_page(name, tmp_path / "summary.json")
 
 
 def test_walks_where_storeys_look_alike_are_evaluated_but_for_the_storey_and_once_on_it(tiny_model, tmp_path, capsys):
@@ -155,6 +160,8 @@ def test_walks_where_storeys_look_alike_are_evaluated_but_for_the_storey_and_onc
         assert method["storey"]["settled_images"] <= 50
         if name in each["belief"]:
             assert each["belief"][name]["on_storey"]["images"] == method["storey"]["settled_images"]
+    for name in ("corridor", "sequences"):
+        assert tables_on_the_page(name, tmp_path / "summary.json")
     (settings,) = (tmp_path / "recordings").glob("*/settings.json")
     assert json.loads(settings.read_text())["odometry_scale"] == 0.02
     with pytest.raises(SystemExit):

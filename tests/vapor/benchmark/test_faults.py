@@ -12,6 +12,7 @@ from sequences.frame import Trajectory
 from sequences.reader import SequenceReader
 from sequences.trajectories.tum import write_tum
 from tests.helpers.full import full
+from tests.helpers.measured import tables_on_the_page
 from vapor import track
 from vapor.benchmark.__main__ import main
 from vapor.benchmark.faults import runs, table, walks
@@ -68,6 +69,8 @@ def test_a_walk_runs_without_and_with_every_fault_once(folder, tiny_model, monke
     np.testing.assert_array_equal(more.times_ns[::3], once.times_ns)
     np.testing.assert_allclose(more.truth[::3].as_matrix(), once.truth.as_matrix(), atol=1e-9)
     assert content["summary"]["ceiling"].keys() == {each["fault"] for each in content["runs"]}
+    (shown,) = tables_on_the_page("faults", folder / "summary.json")
+    assert {name for name, _ in shown["rows"]} == {f"ceiling, {each['fault']}" for each in content["runs"]}
     assert run(folder, tiny_model, *ALWAYS_SURE) == 0
     assert len(followed) == 5
     assert (capsys.readouterr().out, (folder / "summary.json").read_bytes()) == (out, summary)

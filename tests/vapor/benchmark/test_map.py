@@ -1,5 +1,6 @@
 """`vapor-benchmark map`."""
 
+import json
 import re
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from filtering.se3 import Poses
 from tests.helpers.command_line import main
 from tests.helpers.mapped_walks import straight
+from tests.helpers.measured import tables_on_the_page
 from tests.helpers.room_walks import write_recording
 from tests.helpers.textured_room import walk
 from vapor.benchmark.commands.map import Errors
@@ -28,7 +30,14 @@ def test_errors_are_those_after_the_similarity_that_fits_best():
 
 def test_a_recording_is_mapped_without_its_true_poses_and_compared_with_them(tmp_path, capsys):
     path = write_recording(tmp_path / "robot.mcap", walk(10, 1), true_poses=True)
-    assert main(["vapor-benchmark", "map", str(path), "--output", str(tmp_path / "place")]) == 0
+    summary = tmp_path / "map.json"
+    words = ["map", str(path), "--output", str(tmp_path / "place"), "--summary", str(summary)]
+    assert main(["vapor-benchmark", *words]) == 0
     out = capsys.readouterr().out
     assert re.search(r"robot +│ 10 of 10 │ +[01]\.\d cm", out)
+    (row,) = json.loads(summary.read_text())["rows"]
+    assert (row["walk"], row["placed"], row["images"]) == ("robot", 10, 10)
+    assert 0.0 < row["median_m"] <= row["p95_m"] <= row["largest_m"] < 0.1
+    (table,) = tables_on_the_page("map", summary)
+    assert [name for name, _ in table["rows"]] == ["robot"]
     assert re.search(r"unit: recorded odometry of robot; (0\.99|1\.00)\d\d m", out)

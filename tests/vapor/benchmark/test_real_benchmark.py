@@ -10,16 +10,17 @@ from filtering.se3 import Poses
 from sequences.datasets.listing import list_images
 from tests.helpers.data_sets import make_7scenes
 from tests.helpers.full import full
+from tests.helpers.measured import tables_on_the_page
 from tests.helpers.pose_files import noisy, walk, write_named
 from vapor.benchmark.__main__ import main
 from vapor.benchmark.real import benchmark as real_benchmark
 from vapor.benchmark.real import trained_network
 from vapor.benchmark.real.copied_places import CopiedPlaces
 from vapor.benchmark.real.published import poses_of
-from vapor.benchmark.real.row import RowContext, simulated_motions
+from vapor.benchmark.real.row import RealConfig, RowContext, simulated_motions
 from vapor.benchmark.real.rows import ROWS
 from vapor.benchmark.real.trained_network import TrainedNetwork
-from vapor.regressors.loss import LossConfig
+from vapor.regressors.loss_config import LossConfig
 from vapor.regressors.network_config import NetworkConfig
 from vapor.training.config import TrainConfig
 
@@ -84,6 +85,10 @@ def test_a_place_30_times_as_large_gives_the_same_table_times_30(stairs, tmp_pat
     filtered, alone = (small["methods"][name]["median_translation_m"] for name in ("filter", "single_image"))
     assert filtered[1] <= filtered[0] <= filtered[2] < alone[0]  # two draws of odometry, one of the estimates
     assert alone[1:] == [None, None]
+    (table,) = tables_on_the_page("estimates", tmp_path / "summary.json")
+    assert [name for name, _ in table["rows"]] == ["stairs_hloc", "stairs_x30_hloc"]
+    for name in ("real", "copied"):  # other rows of the same benchmark
+        assert tables_on_the_page(name, tmp_path / "summary.json")
 
 
 @pytest.mark.usefixtures("unchecked")
@@ -149,10 +154,17 @@ def test_a_place_stands_twice_and_what_is_there_once_in_the_copy_walked_in(tmp_p
     assert len(both) == 22 - copied._unique(poses, 1).sum() == 15
     assert np.allclose(once[0].world_from_camera.translation - both[0].world_from_camera.translation, [0.0, 3.0, 0.0])
     assert once[0].image.mean() != both[0].image.mean()
-    monkeypatch.setattr(real_benchmark, "ROWS", (copied,))
+    monkeypatch.setattr(real_benchmark, "ROWS", (copied, replace(copied, name="copied_visual", visual_of="copied")))
     assert run(tmp_path, tmp_path / "out", "--seeds", "2") == 0
+    assert len(list((tmp_path / "out" / "models").iterdir())) == 1
     rows = summary_of(tmp_path / "out")["summary"]
-    assert rows.keys() == {"copied, before", "copied, 2 s after", "copied, after"}
+    of = ("before", "2 s after", "after")
+    assert rows.keys() == {f"{row}, {images}" for row in ("copied", "copied_visual") for images in of}
+    context = RowContext(tmp_path, tmp_path / "out", RealConfig(num_samples=30))
+    simulated, visual = (row.draw(context, 0).segment for row in real_benchmark.ROWS)
+    assert np.array_equal(simulated.times_ns, visual.times_ns)
+    assert None not in simulated.odometry[1:]
+    assert visual.odometry[1:] == (None,) * (len(visual.odometry) - 1)  # these images are noise
     assert rows["copied, 2 s after"]["images"] == 1
     assert rows["copied, after"]["whole_draws"]["right"].keys() == rows["copied, after"]["methods"].keys()
     assert "copied places: draws in which every image is right" in capsys.readouterr().out

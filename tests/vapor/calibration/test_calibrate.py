@@ -19,7 +19,7 @@ from vapor.calibration.calibrate import calibrate, fit_widths
 from vapor.checkpoints.calibration import Calibration
 from vapor.checkpoints.file_format import load_checkpoint
 from vapor.checkpoints.scene_scale import default_errors
-from vapor.regressors.loss import LossConfig
+from vapor.regressors.loss_config import LossConfig
 from vapor.regressors.network_config import NetworkConfig
 from vapor.regressors.scene_box import SceneBox
 from vapor.regressors.variational import VariationalPoseRegressor
@@ -111,7 +111,7 @@ def test_twenty_images_are_enough():
 
 @pytest.mark.usefixtures("unchecked")
 def test_training_calibrates_at_its_end_and_stores_values_and_gains(tmp_path):
-    config = TrainConfig(NETWORK, loss=LossConfig(num_samples=16), epochs=1, precision="float32", device="cpu")
+    config = TrainConfig(network=NETWORK, loss=LossConfig(num_samples=16), epochs=1, precision="float32", device="cpu")
     held_out = {str(k): frames_of(30, seed=k) for k in range(2)}
     stages = []
     result = train_on(

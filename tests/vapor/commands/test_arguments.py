@@ -28,7 +28,7 @@ STEP = ["vapor-benchmark", "step"]
 
 WRONG = {
     "no command": ([], ""),
-    "unknown command": (["localise"], "unknown command 'localise', expected one of run, live"),
+    "unknown command": (["localise"], "unknown command 'localise', expected one of demo, run, live"),
     "unknown option": ([*RUN, "--nonsense", "1"], "nonsense"),
     "misspelt option": ([*RUN, "--localizer.max-hypthoses", "9"], "hypthoses"),
     "missing model": (["run", "a.mcap", "--output", "o"], "--model"),
@@ -70,7 +70,7 @@ WRONG = {
         "--between",
     ),
     "malformed frames": (["convert", "d", "o.mcap", "--frames", "1-9"], "expected START:STOP"),
-    "no directory": (["evaluate"], "What `vapor-track run` wrote"),
+    "no directory": (["evaluate"], "Folder that `vapor-track run` wrote"),
     "no workers": ([*CEILING, "--workers", "0"], "workers is 0"),
     "no runs": ([*CEILING, "--runs", "-1"], "runs is -1"),
     "no frames of a benchmark": ([*CEILING, "--frames", "49"], "frames is 49, expected at least 50"),

@@ -20,7 +20,7 @@ from vapor.landmarks.verify import Landmarks, LandmarkVerifier, ShownLandmarks, 
 from vapor.pipeline.config import RunConfig
 from vapor.pipeline.model import load_model
 from vapor.pipeline.run import VerifiedImages, run
-from vapor.reporting.html.run_page import landmark_caption, landmark_picture
+from vapor.reporting.html.landmark_picture import landmark_caption, landmark_picture
 
 SHARP = MeasurementNoise(noise_floor=(0.01,) * 3 + (0.003,) * 3, typical_std=(0.01,) * 3 + (0.003,) * 3)
 SOMEWHERE = PosePosterior.from_estimates(Poses.identity(1), 0.3, 0.1, MeasurementNoise())
@@ -44,6 +44,19 @@ def test_landmarks_are_shown_where_the_image_has_features(room, built, k1):
     assert (shown.others, shown.number) == ((15,), 7)
 
 
+def test_matches_that_are_elsewhere_than_the_pose_predicts_are_shown_apart(room, built):
+    """From a pose that is off, hardly any match is where it must be; from the true one most are."""
+    verifier, pose = LandmarkVerifier(Landmarks(built.landmarks), SHARP), walk(8, seed=5)[3]
+    image = room.view(pose)
+    (found, *_) = verifier.find(image, CAMERA, SOMEWHERE)
+    beside = replace(found, world_from_camera=found.world_from_camera @ Poses.exp(np.array([0.5, 0, 0, 0, 0, 0])))
+    right, wrong = (verifier.shown(image, CAMERA, [each]).disagreeing for each in (found, beside))
+    assert len(wrong) > found.inliers / 2
+    assert len(right) < len(wrong) / 2
+    features = {tuple(each) for each in verifier.shown(image, CAMERA, [found]).features.round(3).tolist()}
+    assert features >= {tuple(each) for each in wrong.round(3).tolist()}
+
+
 def test_an_image_of_another_camera_is_shown_as_the_map_s_camera_sees_it(room, built):
     verifier, pose = LandmarkVerifier(Landmarks(built.landmarks), SHARP), walk(8, seed=5)[3]
     zoomed = replace(CAMERA.scaled(480, 360), fx=480.0, fy=480.0)
@@ -58,7 +71,8 @@ def test_an_image_of_another_camera_is_shown_as_the_map_s_camera_sees_it(room, b
 def test_the_picture_marks_features_landmarks_and_where_they_must_be():
     image = np.full((100, 160, 3), 128, np.uint8)
     at = np.array([[40.0, 50.0], [80.0, 20.0]])
-    shown = ShownLandmarks(image, np.concatenate([at, [[120.0, 80.0]]]), at, at + np.array([2.0, 0.0]), (31,), 4)
+    features = np.concatenate([at, [[120.0, 80.0], [20.0, 90.0]]])
+    shown = ShownLandmarks(image, features, np.array([[120.0, 80.0]]), at, at + np.array([2.0, 0.0]), (31,), 4)
     picture = np.asarray(cv2.imdecode(np.frombuffer(landmark_picture(shown), np.uint8), cv2.IMREAD_COLOR)).astype(int)
     small = cv2.resize(picture.astype(np.float32), (160, 100), interpolation=cv2.INTER_AREA)
     blue, green, red = np.moveaxis(small, -1, 0)
@@ -69,9 +83,11 @@ def test_the_picture_marks_features_landmarks_and_where_they_must_be():
     for x, y in at.astype(int).tolist():  # five times as far as two pixels
         assert is_orange[y, x + 4 : x + 10].all()
         assert not is_orange[y, x + 12 :].any()
-    assert small[80, 120].min() > 150.0
+    assert small[90, 20].min() > 150.0
+    assert red[80, 120] > max(green[80, 120], blue[80, 120]) + 100.0
+    assert not (red > np.maximum(green, blue) + 100.0)[:70].any()
     said = landmark_caption(shown, 0.4)
-    assert said.startswith("Image 4, at 0.4 s: of 3 features (grey) 2 are landmarks that agree with the pose (green).")
+    assert said.startswith("Image 4, at 0.4 s: of 4 features (grey) 3 match landmarks. 2 of these")
     assert "2.0 of 160 pixels off in the median" in said
     assert said.endswith("Another place is verified, by 31 landmarks.")
 
@@ -133,7 +149,8 @@ def test_a_run_with_landmarks_reports_a_picture_and_one_without_none(room, built
     calibration = replace(description.calibration, errors=noise)
     model.observation.description = replace(description, landmarks=Landmarks(built.landmarks), calibration=calibration)
     result = run(path, model, tmp_path / "with", config)
-    assert result.record.num_verified == 8
+    assert len(result.record.inliers) == 8
+    assert result.record.inliers.min() >= 12
     shown = result.record.landmarks
     assert np.linalg.norm(shown.predicted - shown.seen, axis=1).max() < 3.1
     np.testing.assert_array_less(np.abs(shown.image.astype(int) - room.view(poses[shown.number])).mean(), 5.0)

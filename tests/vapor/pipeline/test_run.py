@@ -103,6 +103,7 @@ def test_the_report_has_exactly_the_keys_of_its_contract(finished):
         "peak_rss_mb",
         "consistency",
         "storeys",
+        "reliability",
     }
     assert set(report["consistency"]) == {"images", "wrong", "coverage", "median_nees"}
     assert report["frames"] == 25

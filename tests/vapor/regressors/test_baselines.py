@@ -13,7 +13,7 @@ from tests.helpers.full import some
 from tests.helpers.tiny_training import STILL, TINY, make_frames, pose
 from vapor.checkpoints.file_format import load_checkpoint
 from vapor.observation import VaporObservationModel
-from vapor.regressors.loss import LossConfig
+from vapor.regressors.loss_config import LossConfig
 from vapor.regressors.mixture import log_rotation_normaliser
 from vapor.regressors.network_config import NetworkConfig, make_regressor
 from vapor.regressors.scene_box import SceneBox

@@ -17,7 +17,7 @@ from vapor.evaluation.posterior import posterior_metrics
 from vapor.evaluation.validation import LOG_FLOOR, exact_log_density
 from vapor.regressors.base import DensityRegressor
 from vapor.regressors.flow import FlowRegressor, Spline
-from vapor.regressors.loss import LossConfig
+from vapor.regressors.loss_config import LossConfig
 from vapor.regressors.network_config import NetworkConfig, make_regressor
 from vapor.regressors.scene_box import SceneBox
 from vapor.training.presets import METHODS

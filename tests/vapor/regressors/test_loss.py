@@ -6,7 +6,8 @@ from hypothesis import strategies as st
 from torch import distributions
 
 from filtering.se3 import Poses
-from vapor.regressors.loss import LossConfig, pose_distance
+from vapor.regressors.loss import pose_distance
+from vapor.regressors.loss_config import LossConfig
 from vapor.regressors.network_config import NetworkConfig
 from vapor.regressors.scene_box import SceneBox
 from vapor.regressors.variational import VariationalPoseRegressor, kl_divergence

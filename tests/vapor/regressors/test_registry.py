@@ -6,7 +6,7 @@ import torch
 
 from filtering.se3 import Poses
 from vapor.regressors.base import DensityRegressor, PoseRegressor
-from vapor.regressors.loss import LossConfig
+from vapor.regressors.loss_config import LossConfig
 from vapor.regressors.network_config import REGRESSORS, NetworkConfig, make_regressor, regressor_class
 from vapor.regressors.scene_box import SceneBox
 

@@ -19,7 +19,7 @@ from vapor.regressors.retrieval import RetrievalRegressor
 from vapor.regressors.scene_box import SceneBox
 from vapor.tensor_files import CheckpointError, read_safetensors, write_safetensors
 from vapor.training import memory as training_memory
-from vapor.training.augment import AugmentConfig
+from vapor.training.augment_config import AugmentConfig
 from vapor.training.holding_out import hold_out
 from vapor.training.memory import VARIANTS, extract_training_features
 from vapor.training.presets import METHODS

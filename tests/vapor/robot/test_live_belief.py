@@ -28,7 +28,7 @@ def belief(unchecked):
     description = SimpleNamespace(calibration=SimpleNamespace(errors=noise))
     model = SimpleNamespace(description=description, verifier="some", verifies=None)
     localizer = SimpleNamespace(observe=lambda image, camera: seen_at(Poses.identity(1)), forget=lambda: None)
-    belief = LiveBelief(localizer, model, READER, None)
+    belief = LiveBelief(localizer, model, FRAMES, 0.0, None)
     belief.anchor = anchor_of("converged", 1.0)
     return belief
 
@@ -37,7 +37,7 @@ def anchor_of(status, agreement):
     return SimpleNamespace(estimate=SimpleNamespace(status=status, agreement=agreement))
 
 
-READER = SimpleNamespace(odometry_ns=None, frame_ns=None)
+FRAMES = SimpleNamespace(reader=SimpleNamespace(odometry_ns=None, frame_ns=None))
 
 
 def seen(belief, metres, camera=""):

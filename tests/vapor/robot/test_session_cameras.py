@@ -17,7 +17,7 @@ from tests.helpers.live_session import KnowingModel, Running, hurry, running
 from tests.helpers.rigs import FRONT, LEFT, RIGHT, Rig, pose_shown
 from tests.helpers.sequence_files import BEGIN_NS, Walk, world_from_camera
 from vapor.pipeline.verticals import Verticals
-from vapor.robot import health, session
+from vapor.robot import health, opening
 
 NOISE = MeasurementNoise(length_m=0.03, length_rad=0.03)
 
@@ -116,7 +116,7 @@ def test_a_robots_tilt_is_known_of_the_camera_that_is_localized(rig: Path, monke
             asked.append((is_localized, float(off_m)))
             return Vertical(heights=KnownHeight(1.0, 100.0))
 
-    monkeypatch.setattr(session, "Verticals", Robot)
+    monkeypatch.setattr(opening, "Verticals", Robot)
     raws = messages_of(rig)
     with running(rig, model=Knowing((FRONT, LEFT))) as run:
         opened(run, raws)

@@ -9,7 +9,7 @@ from filtering.se3 import Poses
 from tests.helpers.checkout import SHARED_DATA
 from tests.helpers.tiny_training import TINY, make_frames, pose, train_on_most
 from vapor.checkpoints.file_format import load_checkpoint
-from vapor.regressors.loss import LossConfig
+from vapor.regressors.loss_config import LossConfig
 from vapor.training.train import train, train_on
 from vapor.training_data.training_set import TrainingError
 

@@ -9,9 +9,9 @@ import torch
 from filtering.errors import VaporTrackError
 from tests.helpers.tiny_training import TINY, make_frames, train_on_most
 from vapor.checkpoints.calibration import Calibration
-from vapor.regressors.loss import LossConfig
+from vapor.regressors.loss_config import LossConfig
 from vapor.training import epoch as batches
-from vapor.training.augment import AugmentConfig
+from vapor.training.augment_config import AugmentConfig
 from vapor.training.config import TrainConfig
 from vapor.training.epoch import uses_bfloat16
 from vapor.training.presets import PRESETS

@@ -14,7 +14,7 @@ from tests.helpers.tiny_training import STILL, TINY, make_frames, pose, same_wei
 from vapor.checkpoints.file_format import load_checkpoint
 from vapor.evaluation.validation import validate
 from vapor.observation import VaporObservationModel
-from vapor.regressors.loss import LossConfig
+from vapor.regressors.loss_config import LossConfig
 from vapor.regressors.network_config import make_regressor
 from vapor.regressors.scene_box import SceneBox
 from vapor.tensor_files import CheckpointError

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import product
 from pathlib import Path
 from typing import Annotated
@@ -15,6 +15,7 @@ import tyro
 from filtering.errors import VaporTrackError, require_within
 from sequences.live.transport import MAX_DOMAIN
 from vapor.benchmark import PROGRAM
+from vapor.benchmark.commands.options import SummaryPath, claim_summary, write_rows
 from vapor.benchmark.figures import table_of
 from vapor.benchmark.live.measure import Latency, Measured, measure
 from vapor.benchmark.live.traffic import read_walk
@@ -57,6 +58,7 @@ class Options:
     """Sizes that the images are brought to, each for itself."""
     minutes: float = 2.0
     """How long each is measured, from the first answer on."""
+    summary: SummaryPath = None
     domain: int = 60
     """ROS domain to do it in; nobody else may be in it."""
     live: str = ""
@@ -77,6 +79,7 @@ class Options:
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     o = parse("live", Options, arguments, program=PROGRAM)
+    claim_summary(o.summary)
     walk = read_walk(o.sequence)
     words = ["--model", o.model, *shlex.split(o.live)]
     rows: dict[str, Measured] = {}
@@ -94,6 +97,7 @@ def main(arguments: Sequence[str]) -> None:
             )
     title = f"{o.model}, {o.minutes:g} min each: latencies are median, 99 % and longest, ms"
     show(table_of(title, "camera", _COLUMNS, rows))
+    write_rows(o.summary, ({"camera": camera, "minutes": o.minutes} | asdict(row) for camera, row in rows.items()))
 
 
 def _latency(latency: Latency) -> str:

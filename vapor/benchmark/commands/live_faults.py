@@ -5,13 +5,13 @@ from __future__ import annotations
 import shlex
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from filtering.errors import VaporTrackError, require_within
 from sequences.live.transport import MAX_DOMAIN
 from vapor.benchmark import PROGRAM
-from vapor.benchmark.commands.options import require_each_once
+from vapor.benchmark.commands.options import SummaryPath, claim_summary, require_each_once, write_rows
 from vapor.benchmark.figures import table_of, text
 from vapor.benchmark.live.faults import FAULTS, Outcome, run_fault
 from vapor.benchmark.live.traffic import read_walk
@@ -29,6 +29,7 @@ class Options:
     """Recording of the place of the model, with odometry and true poses."""
     faults: tuple[str, ...] = tuple(FAULTS)
     """Which: none, killed, camera, odometry, slow, lossy, lossy-reliable, clock."""
+    summary: SummaryPath = None
     domain: int = 62
     """ROS domain to do it in; nobody else may be in it."""
     live: str = ""
@@ -42,6 +43,7 @@ class Options:
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     o = parse("live-faults", Options, arguments, program=PROGRAM)
+    claim_summary(o.summary)
     walk = read_walk(o.sequence)
     if walk.world_from_camera is None:
         raise VaporTrackError(f"{o.sequence}: not all images have true poses, expected them to measure errors by")
@@ -54,6 +56,7 @@ def main(arguments: Sequence[str]) -> None:
             advance(len(outcomes), len(o.faults))
     title = f"{o.sequence.name}: ten images a second, a fault once converged for 5 s"
     show(table_of(title, "fault", _COLUMNS, outcomes))
+    write_rows(o.summary, ({"fault": label} | asdict(outcome) for label, outcome in outcomes.items()))
     for label, outcome in outcomes.items():
         show(f"{label}: {', '.join(outcome.statuses)}")
 

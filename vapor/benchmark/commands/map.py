@@ -14,13 +14,15 @@ import tyro
 from jaxtyping import Float64
 from rich.table import Table
 
-from filtering.se3 import Poses, nearest_rotation
+from filtering.se3 import Poses
+from filtering.so3 import nearest_rotation
 from sequences.datasets.frames import posed_frames
 from sequences.datasets.listing import files_read, is_recording, list_images
 from sequences.mapping.config import MapConfig
 from sequences.mapping.map import map_images
 from sequences.options import SequenceOptions
 from vapor.benchmark import PROGRAM
+from vapor.benchmark.commands.options import SummaryPath, claim_summary, write_rows
 from vapor.commands.console import OutputPath, Overwrite, command_line, parse, show, show_notices, usage_error
 from vapor.commands.progress import progress
 
@@ -34,6 +36,7 @@ class Options:
     output: OutputPath
     """Folder for the map, new or an earlier one."""
     overwrite: Overwrite = False
+    summary: SummaryPath = None
     config: Annotated[MapConfig, tyro.conf.arg(name="")] = field(default_factory=MapConfig)
 
 
@@ -66,6 +69,7 @@ def main(arguments: Sequence[str]) -> None:
     o, command = parse("map", Options, arguments, PROGRAM), command_line("map", arguments, PROGRAM)
     if not o.data:
         usage_error("map", "no data, expected at least one recording or data set with true poses", PROGRAM)
+    claim_summary(o.summary)
     begin_s = time.monotonic()
     with progress() as shown:
         result = map_images(
@@ -89,13 +93,20 @@ def main(arguments: Sequence[str]) -> None:
     for name in ("walk", "placed", "median error", "95 %", "largest", "rotation"):
         table.add_column(name, justify="left" if name == "walk" else "right")
     walks = np.array([walk for walk, _ in names])
+    rows = []
     for name, (placed, images) in result.walks.items():
         if not placed:
+            rows.append({"walk": name, "placed": 0, "images": images, "seconds": seconds})
             continue
-        cm = 100.0 * errors.metres[walks == name]
-        figures = [f"{value:.1f} cm" for value in (np.median(cm), np.quantile(cm, 0.95), cm.max())]
-        table.add_row(name, f"{placed} of {images}", *figures, f"{np.median(errors.degrees[walks == name]):.2f}°")
+        metres, degrees = errors.metres[walks == name], float(np.median(errors.degrees[walks == name]))
+        figures = [float(value) for value in (np.median(metres), np.quantile(metres, 0.95), metres.max())]
+        table.add_row(name, f"{placed} of {images}", *(f"{100 * each:.1f} cm" for each in figures), f"{degrees:.2f}°")
+        of_walk = dict(zip(("median_m", "p95_m", "largest_m"), figures, strict=True))
+        rows.append(
+            {"walk": name, "placed": placed, "images": images, "seconds": seconds, "median_deg": degrees} | of_walk
+        )
     show(table)
+    write_rows(o.summary, rows)
     show(f"unit: {result.scale.source or 'arbitrary'}; {errors.scale:.4f} m")
     show_notices(result.notices)
 

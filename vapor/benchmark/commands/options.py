@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,7 +14,7 @@ from filtering.errors import VaporTrackError
 from sequences.scenes import find_scene, is_scene, scene_names
 from vapor.checkpoints.file_format import find_model
 from vapor.commands.console import OutputPath, Overwrite
-from vapor.reporting.report import write_report
+from vapor.reporting.report import is_report, write_report
 
 SCENE_NAMES = scene_names(with_cues=True)
 """Scenes to choose from: others show nothing by which the filter could find itself."""
@@ -70,6 +71,33 @@ def require_each_once(what: str, chosen: Sequence[str], known: Mapping[str, Any]
     for name in chosen:
         if known is not None and name not in known:
             raise VaporTrackError(f"unknown {what.removesuffix('s')} {name!r}, expected one of {', '.join(known)}")
+
+
+SummaryPath = Annotated[
+    Path | None, tyro.conf.arg(help="File for the figures of the table, too, as JSON, new or written so before.")
+]
+"""Option: where else the rows of a table go."""
+
+
+def claim_summary(file: Path | None) -> None:
+    """Refuse a file that is something else than `write_rows` writes, before anything is measured; make its folder."""
+    if file is None:
+        return
+    if file.exists() and not is_report(file, ("rows",)):
+        raise VaporTrackError(f"{file}: exists and is no summary of a benchmark, expected a new file or one")
+    file.parent.mkdir(parents=True, exist_ok=True)
+
+
+def write_rows(file: Path | None, rows: Iterable[Mapping[str, Any]]) -> None:
+    """Write the rows of a table, if asked for; no number is infinite or NaN: such ones are None."""
+    if file is not None:
+        write_report(file, {"rows": [{name: _known(value) for name, value in row.items()} for row in rows]})
+
+
+def _known(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {name: _known(each) for name, each in value.items()}
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def described(meanings: Mapping[str, str]) -> str:

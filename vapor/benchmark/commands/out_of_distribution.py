@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Annotated
 
 import numpy as np
@@ -12,6 +12,7 @@ from rich.table import Table
 
 from filtering.errors import VaporTrackError, require_within
 from vapor.benchmark import PROGRAM
+from vapor.benchmark.commands.options import SummaryPath, claim_summary, write_rows
 from vapor.benchmark.ood_images import IN_A_ROW, evaluate_flags
 from vapor.commands.console import parse, show
 from vapor.commands.progress import progress
@@ -37,6 +38,7 @@ class Options:
     """Seed of the noise."""
     device: Device = "auto"
     """Where the network runs."""
+    summary: SummaryPath = None
     network: Annotated[EngineConfig, tyro.conf.arg(name="")] = field(default_factory=EngineConfig)
 
     def __post_init__(self) -> None:
@@ -48,6 +50,7 @@ class Options:
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     o = parse("out-of-distribution", Options, arguments, program=PROGRAM)
+    claim_summary(o.summary)
     model = VaporObservationModel.from_checkpoint(
         o.model, num_samples=1, device=o.device, engine=o.network.engine, precision=o.network.precision
     )
@@ -58,3 +61,4 @@ def main(arguments: Sequence[str]) -> None:
         in_a_row = "" if np.isnan(row.fraction_in_a_row) else f"{100 * row.fraction_in_a_row:.1f} %"
         table.add_row(row.kind, str(row.images), f"{row.median:.2f}", f"{100 * row.fraction:.1f} %", in_a_row)
     show(table)
+    write_rows(o.summary, map(asdict, rows))

@@ -19,7 +19,8 @@ from vapor.benchmark import PROGRAM
 from vapor.benchmark.commands.options import require_each_once
 from vapor.benchmark.jobs import completed
 from vapor.benchmark.regressors.table import best_methods, failures, scene_tables
-from vapor.benchmark.regressors.training_runs import Scene, SyntheticWalk, TrainingRun, carry_out, rendered_height
+from vapor.benchmark.regressors.training_runs import Scene, TrainingRun, carry_out, rendered_height
+from vapor.benchmark.rendered import RenderedWalk
 from vapor.commands.console import OutputPath, Overwrite, command_line, show
 from vapor.commands.train import Preset, parse_named
 from vapor.reporting.html.page import findings_page, write_page
@@ -64,11 +65,11 @@ class TableConfig:
         require_within(self, gamma=(1e-6, 1.0), first_seed=(0, 10**9), **dict.fromkeys(counts, (1, 10**6)))
         require_each_once("methods", self.methods, METHODS)
 
-    def synthetic_walks(self, scene: str) -> list[SyntheticWalk]:
+    def synthetic_walks(self, scene: str) -> list[RenderedWalk]:
         """The walks of a synthetic scene, first those that are trained on."""
         height = rendered_height(self.train.network.frame_size)
-        train = [SyntheticWalk(scene, "train", seed, self.frames, height) for seed in range(self.sequences)]
-        test = [SyntheticWalk(scene, "test", seed, self.test_frames, height) for seed in range(self.test_sequences)]
+        train = [RenderedWalk(scene, "train", seed, self.frames, height) for seed in range(self.sequences)]
+        test = [RenderedWalk(scene, "test", seed, self.test_frames, height) for seed in range(self.test_sequences)]
         return [*train, *test]
 
     def runs(self, scenes: Sequence[Scene]) -> list[TrainingRun]:
@@ -112,7 +113,7 @@ def main(arguments: Sequence[str]) -> None:
     claim_folder(o.output, f"{PROGRAM} regressors", reads=reads, overwrite=o.overwrite)
     check_scenes(asked, c)
     walks = [(walk, o.output) for scene in asked if not scene.train for walk in c.synthetic_walks(scene.name)]
-    completed("rendering", "walks", SyntheticWalk.render, walks, c.workers)
+    completed("rendering", "walks", RenderedWalk.render, walks, c.workers)
     runs = c.runs([with_files(scene, c, o.output) for scene in asked])
     results = completed("training", "networks", carry_out, [(run, o.output) for run in runs], c.workers)
     results.sort(key=lambda result: (result["scene"], c.methods.index(result["label"]), result["seed"]))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import islice
 from pathlib import Path
 from typing import Annotated, Literal
@@ -15,7 +15,7 @@ from filtering.errors import VaporTrackError, require_within
 from sequences.frame import Camera, Frame
 from sequences.reader import SequenceReader
 from vapor.benchmark import PROGRAM
-from vapor.benchmark.commands.options import require_each_once
+from vapor.benchmark.commands.options import SummaryPath, claim_summary, require_each_once, write_rows
 from vapor.benchmark.step_times import time_step
 from vapor.benchmark.untrained import untrained
 from vapor.commands.console import parse, show
@@ -57,6 +57,7 @@ class Options:
     """Processor threads of the network."""
     repetitions: int = 50
     """How often every part is timed."""
+    summary: SummaryPath = None
 
     def __post_init__(self) -> None:
         require_within(self, **dict.fromkeys(("num_samples", "threads", "repetitions"), (1, 10**6)))
@@ -72,6 +73,7 @@ class Options:
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     o = parse("step", Options, arguments, program=PROGRAM)
+    claim_summary(o.summary)
     frames, camera = ([], None) if o.sequence is None else _frames(o.sequence)
     table = Table("part of a step", "median ms", "95 % ms", "99 % ms")
     with limited_threads(o.threads):
@@ -84,6 +86,7 @@ def main(arguments: Sequence[str]) -> None:
     for timing in timings:
         table.add_row(timing.part, f"{timing.median_ms:.2f}", f"{timing.p95_ms:.2f}", f"{timing.p99_ms:.2f}")
     show(table)
+    write_rows(o.summary, map(asdict, timings))
 
 
 def _models(o: Options, camera: Camera | None) -> dict[str, VaporObservationModel]:

@@ -8,7 +8,7 @@ camera walks in is trained on. Images are real, copies are not.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -18,11 +18,15 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, UInt8
 
+from filtering.config import LocalizerConfig
 from filtering.errors import VaporTrackError
+from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from sequences.datasets.frames import posed_frames
 from sequences.frame import BASE_FROM_CAMERA, Frame
+from sequences.reader import SequenceReader
+from sequences.visual_odometry.odometry import USUAL_DEPTH_M, VisualOdometry
 from sequences.writer import SequenceWriter
 from vapor.benchmark.real.row import Draw, Row, RowContext, simulated_motions
 from vapor.benchmark.real.trained_network import record_posteriors, trained_model, training_code
@@ -54,6 +58,7 @@ class CopiedPlaces(Row):
         own: The copy that the camera walks in.
         rate_hz: Images a second of the walk, whose data have no stamps to be trusted.
         config: How to train: as `train` does without options.
+        visual_of: The row whose model and images it shares, but with odometry made from these; empty: it is simulated.
     """
 
     training: tuple[str, ...]
@@ -63,6 +68,12 @@ class CopiedPlaces(Row):
     own: int
     rate_hz: float
     config: TrainConfig = PRESETS["auto"]
+    visual_of: str = ""
+
+    @property
+    def group(self) -> str:
+        """The row with simulated odometry."""
+        return self.visual_of or self.name
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -85,7 +96,7 @@ class CopiedPlaces(Row):
         rng = np.random.default_rng([seed, 2])
         images, first = self._walk(self._unique(truth, self.own), rng)
         times_ns = np.rint(np.arange(len(images)) * 1e9 / self.rate_hz).astype(np.int64)
-        motions = simulated_motions(times_ns, truth[images], rng=rng)
+        simulated = simulated_motions(times_ns, truth[images], rng=rng)
         since = times_ns - times_ns[first]
         after = since >= round(_AFTER_S * 1e9)
 
@@ -93,9 +104,30 @@ class CopiedPlaces(Row):
             return recording.observed(int(images[image])).posterior(checkpoint, noise)
 
         evaluated = {"before": since < 0, f"{_AFTER_S:g} s after": after & (np.cumsum(after) == 1), "after": after}
-        segment = Segment(times_ns, (None, *motions[1:]), truth[images], posterior)
-        draw = Draw(segment, noise, context.config.localizer, evaluated, in_sequences=False)
-        return draw.with_model(checkpoint)
+
+        def draw_of(motions: Sequence[Odometry | None], localizer: LocalizerConfig) -> Draw:
+            segment = Segment(times_ns, (None, *motions[1:]), truth[images], posterior)
+            return Draw(segment, noise, localizer, evaluated, in_sequences=False)
+
+        localizer = context.config.localizer
+        if not self.visual_of:
+            return draw_of(simulated, localizer).with_model(checkpoint)
+        motions = self._visual_motions(self._walked(context), images, times_ns, checkpoint)
+        return draw_of(motions, replace(localizer, odometry_bias=VisualOdometry.bias))
+
+    def _visual_motions(
+        self, walked: Path, images: np.ndarray, times_ns: np.ndarray, checkpoint: Checkpoint
+    ) -> list[Odometry | None]:
+        """Motion since the previous image, by the images of a walk alone, as `run` makes it."""
+        reader = SequenceReader(walked)
+        seen, camera = list(reader), reader.camera
+        assert camera is not None
+        depth_m = USUAL_DEPTH_M if checkpoint.landmarks is None else checkpoint.landmarks.map.depth_m
+        odometry = VisualOdometry(camera, usual_depth_m=depth_m)
+        return [
+            odometry.step(seen[image].image, time_ns, camera)
+            for image, time_ns in zip(images.tolist(), times_ns.tolist(), strict=True)
+        ]
 
     def _walk(self, unique: Bool[np.ndarray, " n"], rng: np.random.Generator) -> tuple[np.ndarray, int]:
         """The images of a walk, and which of them is the first of the part that is there once."""
@@ -166,14 +198,14 @@ class CopiedPlaces(Row):
     def _trained(self, context: RowContext) -> Path:
         return trained_model(
             context,
-            self.name,
+            self.group,
             self._settings,
             lambda file: train_on(self._copies(context.data), file, self.config),
         )
 
     def _walked(self, context: RowContext) -> Path:
         """The images of the walk as the copy gives them that the camera walks in, at another time than in training."""
-        file = context.folder("sequences") / f"{self.name}-{digest(self._settings)}.mcap"
+        file = context.folder("sequences") / f"{self.group}-{digest(self._settings)}.mcap"
         if not file.is_file():
             read = list(posed_frames(context.data / self.walk))
             seen = list(self._copied(read, len(self.offsets_m), only_common=False))
@@ -194,7 +226,7 @@ class CopiedPlaces(Row):
 
     def _recording(self, context: RowContext, checkpoint: Checkpoint) -> FileSettings:
         seen, c = seen_digest(checkpoint), context.config
-        return FileSettings(self.name, digest(self._settings), seen, 0, c.num_samples, precision=c.precision)
+        return FileSettings(self.group, digest(self._settings), seen, 0, c.num_samples, precision=c.precision)
 
 
 def _in_other_light(

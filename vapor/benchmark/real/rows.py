@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -96,6 +97,7 @@ ROWS: tuple[Row, ...] = (
     _redkitchen(),
     _hololens_rooms(),
     _copied_rooms(),
+    replace(_copied_rooms(), name="rooms_copied_visual", visual_of="rooms_copied"),
     _copied_desk(),
     StoredPosteriors("corridor_posteriors", "corridor_posteriors/floor.npz", own_seed=4),
     *_stairs(),

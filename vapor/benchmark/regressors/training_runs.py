@@ -1,4 +1,4 @@
-"""Scenes, rendered where they are synthetic, and training runs on them, each done once and cached."""
+"""Training runs on scenes, each done once and cached."""
 
 from __future__ import annotations
 
@@ -11,11 +11,10 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from sequences.atomic import workspace
 from sequences.datasets.listing import is_list
-from sequences.synthesize import SYNTHESIS, synthesize, write_synthetic
 from vapor.cache import cached, digest
 from vapor.checkpoints.file_format import load_checkpoint
 from vapor.engines.engine import resolve_device
@@ -65,38 +64,6 @@ def identity(entry: str) -> list[str | int]:
             about.append([os.path.relpath(file, folder), stat.st_size, stat.st_mtime_ns])
     content = hashlib.sha256(json.dumps(about).encode()).hexdigest()
     return [str(Path(entry).resolve()), len(about), content]
-
-
-@dataclass(frozen=True)
-class SyntheticWalk:
-    """A walk through a synthetic scene, in 4:3 images of some height."""
-
-    scene: str
-    split: Literal["train", "test"]
-    seed: int
-    frames: int
-    height: int
-
-    def file(self, directory: Path) -> Path:
-        """Where it lies."""
-        size = f"{round(self.height * 4 / 3)}x{self.height}"
-        name = f"{self.scene}-{self.split}-{self.seed}-{self.frames}-{size}-{SYNTHESIS}.mcap"
-        return directory / "images" / name
-
-    def render(self, directory: Path) -> None:
-        """Render it unless that is done."""
-        file, width = self.file(directory), round(self.height * 4 / 3)
-        if not file.exists():
-            file.parent.mkdir(parents=True, exist_ok=True)
-            sequence = synthesize(
-                self.scene,
-                seed=self.seed,
-                num_frames=self.frames,
-                split=self.split,
-                width=width,
-                height=self.height,
-            )
-            write_synthetic(sequence, file)
 
 
 def rendered_height(frame_size: tuple[int, int]) -> int:

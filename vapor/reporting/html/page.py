@@ -46,13 +46,14 @@ def table(
 ) -> Block:
     """A table, whose first column names the rows; the caption is also its name for a screen reader.
 
-    Rows with the numbers `ours` are bold. Cells of words are wrapped, unlike figures.
+    Rows with the numbers `ours` are bold. Cells of words are wrapped, unlike figures; two figures in a cell, which two
+    spaces are between, are wrapped on a narrow screen.
     """
     cells = (f'<th scope="col">{escape(name)}</th>' if name else "<td></td>" for name in columns)
     head = f"<thead><tr>{''.join(cells)}</tr></thead>" if any(columns) else ""
     body = "".join(
         f'<tr{" class=ours" if number in ours else ""}><th scope="row">{escape(row[0])}</th>'
-        + "".join(f"<td>{escape(cell)}</td>" for cell in row[1:])
+        + "".join(f"<td{' class=two' if '  ' in cell else ''}>{escape(cell)}</td>" for cell in row[1:])
         + "</tr>"
         for number, row in enumerate(rows)
     )
@@ -72,13 +73,12 @@ def picture(image: bytes, alt: str, caption: str = "") -> Block:
 def plot(
     name: str, traces: Sequence[Mapping[str, Any]], layout: Mapping[str, Any], label: str, caption: str = ""
 ) -> Block:
-    """A figure that Plotly draws, by a name of letters, with a label for a screen reader.
+    """A figure that Plotly draws, by a name of letters, with a label for a screen reader; with a third y axis higher.
 
     In traces the colour "ink" is that of text; the layout is without the colours of light and dark.
     """
-    shown = (
-        f'<figure data-figure="{name}" aria-label="{escape(label)}"><div class="plot"></div>{_below(caption)}</figure>'
-    )
+    drawn = f'<div class="plot{" three" if "yaxis3" in layout else ""}"></div>'
+    shown = f'<figure data-figure="{name}" aria-label="{escape(label)}">{drawn}{_below(caption)}</figure>'
     return Block(shown, {name: {"traces": traces, "layout": layout}})
 
 
@@ -105,13 +105,17 @@ def _joined(before: str, blocks: Iterable[Block], after: str) -> Block:
 
 @dataclass(frozen=True)
 class Page:
-    """The findings of a command: title, question in a line, answer in a sentence, notices, and sections."""
+    """The findings of a command: title, question in a line, answer in a sentence, notices, and sections.
+
+    `steps` are what to do next, the most urgent first: an action and its reason each.
+    """
 
     title: str
     asked: str
     verdict: str
     sections: Sequence[Block] = ()
     notices: Sequence[str] = ()
+    steps: Sequence[tuple[str, str]] = ()
 
     def html(self) -> str:
         """The file's text."""
@@ -128,10 +132,14 @@ class Page:
             '<meta name="viewport" content="width=device-width, initial-scale=1">'
             f"<title>{escape(self.title)} - vapor-track</title><style>{_asset('page.css')}</style></head><body>"
             f'<header><h1>{escape(self.title)}</h1><p class="asked">{escape(self.asked)}</p>'
-            f'<p class="verdict">{escape(self.verdict)}</p>{notices}</header>'
+            f'<p class="verdict">{escape(self.verdict)}</p>{self._next()}{notices}</header>'
             f"<main>{sections.html}</main><footer>Made by vapor-track. The file needs no network.</footer>{scripts}"
             "</body></html>\n"
         )
+
+    def _next(self) -> str:
+        steps = "".join(f"<li><strong>{escape(do)}</strong> {escape(reason)}</li>" for do, reason in self.steps)
+        return f'<section class="next"><h2>What to do next</h2><ol>{steps}</ol></section>' if steps else ""
 
 
 def _below(caption: str) -> str:

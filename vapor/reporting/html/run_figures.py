@@ -6,21 +6,23 @@ from html import escape
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float64, Int64
 
-from filtering.estimate import STATUSES
+from filtering.storeys import up_axis
 from sequences.frame import Trajectory
 from vapor.evaluation.trajectory import RIGHT, THRESHOLDS, associate, pose_errors
 from vapor.reporting.drawing import COLORS, as_jpeg, rgb
+from vapor.reporting.html.drawings import ThinnedPath, evenly
 from vapor.reporting.html.page import Block, data_url, plot
 from vapor.reporting.record import Keyframe, RunRecord, choose_keyframes
 from vapor.reporting.rerun_shapes import frusta
 from vapor.tracking.methods import METHODS
 
-_MOST_POINTS, _MOST_TIMES = 1500, 3000  # of a path, and of a curve over time
+_MOST_TIMES, _MOST_DOTS = 1500, 750  # of a curve over time, a thousand pixels wide, and of one without lines
 _LEAST = 1e-3  # of an error that is drawn: dead reckoning begins on the truth
+_LOG = {"type": "log", "tickformat": "~g", "nticks": 4}  # whole numbers at every tick, not the last digit alone
 _MOST_IMAGES = 12
-_THINNEST = 0.2  # of the longest axis of the box
+_THINNEST = 0.1  # of the longest axis of the box
+_TALL = 0.8  # height of a box over the diagonal of its plan, from which on its view is higher than wide
 _CAMERA_OF_EXTENT = 0.03  # the size of a drawn camera
 
 
@@ -32,16 +34,24 @@ def run_scene(record: RunRecord) -> Block:
     buttons = "".join(_moment_button(each, record) for each in keyframes)
     seen = '<figure class="seen"><img alt="What the camera saw"><figcaption></figcaption></figure>'
     strip = f'<div class="moments" aria-label="Images" role="group">{buttons}</div>' if keyframes else ""
+    data = _data(record)
+    across, high = (np.linalg.norm(np.array([*data["ratio"].values()]) * part) for part in _level_and_up(data["up"]))
     shown = (
         '<figure data-figure="run" aria-label="Paths, particles and modes in space">'
-        f'<div class="beside"><div class="plot space"></div>{seen if keyframes else ""}</div>'
+        f'<div class="run{" tall" if high > _TALL * across else ""}"><div class="plot space"></div>'
         '<div class="player"><button type="button" class="play">▶ Play</button>'
         f'<input type="range" min="0" max="{last}" value="{first}" aria-label="Moment of the run"><output></output>'
-        f"</div>{strip}<figcaption>Drag to turn, scroll or pinch to zoom; a click in the legend shows or hides. "
+        f"</div>{seen if keyframes else ''}{strip}</div>"
+        "<figcaption>Drag to turn, scroll or pinch to zoom; a click in the legend shows or hides. "
         "Particles have the colour of the mode that they are nearest to: blue where it holds the whole belief, "
         "orange where it holds little of it.</figcaption></figure>"
     )
-    return Block(shown, {"run": _data(record)})
+    return Block(shown, {"run": data})
+
+
+def _level_and_up(up: list[float]) -> tuple[np.ndarray, np.ndarray]:
+    """Which axes are level, and which one is up, as 0 or 1 of each."""
+    return 1.0 - np.abs(up), np.abs(up)
 
 
 def _moment_button(keyframe: Keyframe, record: RunRecord) -> str:
@@ -79,6 +89,8 @@ def _data(record: RunRecord) -> dict[str, Any]:
             "weights": moment.weights.round(4).tolist(),
             "camera": _millimetres(lines[moment.index]),
         }
+        if record.inliers is not None:
+            shown["inliers"] = int(record.inliers[moment.index])
         if moment.jpeg:
             shown["image"] = data_url(moment.jpeg)
         if found[moment.index]:
@@ -90,7 +102,7 @@ def _data(record: RunRecord) -> dict[str, Any]:
         if METHODS[name].kind != "image"
     ]
     single = record.methods["single_image"].poses.translation
-    single = single[_evenly(len(single))].round(3)
+    single = single[evenly(len(single))].round(3)
     paths.append(
         {
             "type": "scatter3d",
@@ -112,6 +124,7 @@ def _data(record: RunRecord) -> dict[str, Any]:
         "all": rgb(COLORS["filter"]),
         "ranges": np.stack([low, high]).T.round(3).tolist(),
         "ratio": dict(zip("xyz", ratio.round(3).tolist(), strict=True)),
+        "up": (up_axis(filtered) if record.storeys is None else np.array(record.storeys.up)).tolist(),
     }
 
 
@@ -130,10 +143,8 @@ def _extent(record: RunRecord) -> tuple[np.ndarray, np.ndarray]:
 def _path(name: str, color: str, trajectory: Trajectory, *, visible: bool) -> dict[str, Any]:
     """A line that is broken where a hypothesis jumped instead of moving."""
     points = trajectory.poses.translation
-    jumped = _jumps(points)
-    kept = np.unique(np.concatenate([_evenly(len(points)), jumped, np.maximum(jumped - 1, 0)]))
-    broken = np.isin(kept, jumped)
-    drawn = np.insert(points[kept].round(3), np.flatnonzero(broken), np.nan, axis=0)
+    thin = ThinnedPath.of(points)
+    drawn = np.insert(points[thin.kept].round(3), np.flatnonzero(thin.broken), np.nan, axis=0)
     x, y, z = np.where(np.isnan(drawn), np.array(None), drawn).T.tolist()
     return {
         "type": "scatter3d",
@@ -148,45 +159,8 @@ def _path(name: str, color: str, trajectory: Trajectory, *, visible: bool) -> di
     }
 
 
-def _jumps(positions: Float64[np.ndarray, "n 3"]) -> Int64[np.ndarray, " k"]:
-    """Indices of the positions (metres) that are much farther from the one before than is usual on the path."""
-    step = np.linalg.norm(np.diff(positions, axis=0), axis=1)
-    if len(step) == 0:
-        return np.zeros(0, np.int64)
-    return np.flatnonzero(step > 0.4 + 6.0 * np.median(step)) + 1
-
-
-def _evenly(count: int, most: int = _MOST_POINTS) -> np.ndarray:
-    return np.linspace(0, count - 1, min(count, most)).round().astype(int)
-
-
 def _millimetres(points: np.ndarray) -> list[list[int]]:
     return np.round(1000.0 * points).astype(int).T.tolist()
-
-
-def status_strip(record: RunRecord) -> Block:
-    """The status over time, as a strip of colours."""
-    seconds = (record.times_ns - record.times_ns[0]) / 1e9
-    total = max(float(seconds[-1]), 1e-9)
-    starts = [i for i, status in enumerate(record.status) if i == 0 or status != record.status[i - 1]]
-    ends = [*(float(seconds[i]) for i in starts[1:]), total]
-    bars = "".join(
-        f'<rect x="{1000 * seconds[first] / total:.2f}" width="{1000 * (end - seconds[first]) / total:.2f}" y="0"'
-        f' height="10" style="fill:var(--{record.status[first]})"/>'
-        for first, end in zip(starts, ends, strict=True)
-    )
-    parts = {name: record.status.count(name) / len(record.status) for name in STATUSES}
-    words = ", ".join(f"{name} in {100 * part:.0f} % of the images" for name, part in parts.items() if part)
-    key = "".join(
-        f'<span><i style="background:var(--{name})"></i>{name} {100 * part:.0f} %</span>'
-        for name, part in parts.items()
-        if part
-    )
-    return Block(
-        f'<svg class="strip" viewBox="0 0 1000 10" preserveAspectRatio="none" role="img"'
-        f' aria-label="{escape(f"Status over {total:.1f} s: {words}")}">{bars}</svg>'
-        f'<p class="note key">{key}over {total:.1f} s</p>'
-    )
 
 
 def error_plot(record: RunRecord) -> Block | None:
@@ -198,7 +172,7 @@ def error_plot(record: RunRecord) -> Block | None:
     for name, trajectory in record.methods.items():
         method = METHODS[name]
         times_ns, *errors = pose_errors(trajectory, record.truth)
-        some = _evenly(len(times_ns), _MOST_TIMES)
+        some = evenly(len(times_ns), _MOST_DOTS if method.kind == "image" else _MOST_TIMES)
         seconds = ((times_ns[some] - start_ns) / 1e9).round(3).tolist()
         drawn = {"mode": "markers", "marker": {"size": 3, "color": method.color, "opacity": 0.6}}
         if method.kind != "image":
@@ -232,13 +206,11 @@ def error_plot(record: RunRecord) -> Block | None:
         }
         for axis, limit in zip(("y", "y2"), limits, strict=True)
     ]
-    layout = {
-        **_layout(record),
-        "hovermode": "closest",
-        "shapes": lines,
-        "yaxis": {"title": {"text": "position [m]"}, "type": "log", "domain": [0.54, 1.0], "minor": {"nticks": 0}},
-        "yaxis2": {"title": {"text": "rotation [°]"}, "type": "log", "domain": [0.0, 0.46]},
+    axes = {
+        "yaxis": {"title": {"text": "position [m]"}, **_LOG, "domain": [0.54, 1.0]},
+        "yaxis2": {"title": {"text": "rotation [°]"}, **_LOG, "domain": [0.0, 0.46]},
     }
+    layout = {**_layout(record, axes), "hovermode": "closest", "shapes": lines}
     return plot(
         "errors",
         traces,
@@ -250,16 +222,23 @@ def error_plot(record: RunRecord) -> Block | None:
 
 def belief_plot(record: RunRecord) -> Block:
     """How sure the filter was, over time: weight of the best mode, mass at none of the modes, agreement of the images,
-    deviation."""
-    some = _evenly(len(record.times_ns), _MOST_TIMES)
+    deviation, and landmarks that agree."""
+    some = evenly(len(record.times_ns), _MOST_TIMES)
     seconds = ((record.times_ns[some] - record.times_ns[0]) / 1e9).round(3).tolist()
     position_m = np.sqrt(np.linalg.eigvalsh(record.covariance[some, :3, :3])[:, -1])
-    curves = (
+    curves = [
         ("weight of the best mode", record.best_weight[some], COLORS["filter"], "y"),
         ("at none of the modes", record.unassigned[some], "#cc79a7", "y"),
         ("agreement of the images", record.agreement[some], "#009e73", "y"),
-        ("standard deviation of the best mode [m]", np.maximum(position_m, _LEAST), COLORS["filter"], "y2"),
-    )
+        ("standard deviation of the best mode", np.maximum(position_m, _LEAST), "ink", "y2"),
+    ]
+    fractions = {"title": {"text": "fraction"}, "range": [0, 1.05], "domain": [0.54, 1.0]}
+    deviation = {"title": {"text": "deviation [m]"}, **_LOG, "domain": [0.0, 0.46]}
+    axes = {"yaxis": fractions, "yaxis2": deviation}
+    if record.inliers is not None:
+        curves.append(("landmarks that agree", record.inliers[some], "#d55e00", "y3"))
+        fractions["domain"], deviation["domain"] = [0.7, 1.0], [0.37, 0.63]
+        axes["yaxis3"] = {"title": {"text": "landmarks"}, "rangemode": "tozero", "domain": [0.0, 0.3]}
     traces = [
         {
             "type": "scatter",
@@ -268,22 +247,18 @@ def belief_plot(record: RunRecord) -> Block:
             "x": seconds,
             "y": values.round(4).tolist(),
             "yaxis": axis,
-            "line": {"width": 1.6, "color": color, "dash": "dot" if axis == "y2" else "solid"},
+            "line": {"width": 1.6, "color": color},
         }
         for name, values, color, axis in curves
     ]
-    layout = {
-        **_layout(record),
-        "yaxis": {"title": {"text": "fraction"}, "range": [0, 1.05], "domain": [0.54, 1.0]},
-        "yaxis2": {"title": {"text": "deviation [m]"}, "type": "log", "domain": [0.0, 0.46]},
-    }
-    return plot("belief", traces, layout, "How sure the filter was, over time")
+    return plot("belief", traces, _layout(record, axes), "How sure the filter was, over time")
 
 
-def _layout(record: RunRecord) -> dict[str, Any]:
+def _layout(record: RunRecord, axes: dict[str, Any]) -> dict[str, Any]:
     duration_s = max(float(record.times_ns[-1] - record.times_ns[0]) / 1e9, 1e-3)
     return {
         "margin": {"l": 65, "r": 10, "t": 10, "b": 40},
         "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0},
-        "xaxis": {"title": {"text": "time [s]"}, "anchor": "y2", "range": [0, duration_s]},
+        "xaxis": {"title": {"text": "time [s]"}, "anchor": f"y{len(axes)}", "range": [0, duration_s]},
+        **axes,
     }

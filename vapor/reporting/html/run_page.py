@@ -6,62 +6,18 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
 from vapor.evaluation.consistency import REGIONS
 from vapor.evaluation.trajectory import RIGHT, THRESHOLDS
-from vapor.landmarks.verify import ShownLandmarks
-from vapor.reporting.drawing import as_jpeg
+from vapor.reporting.html.drawings import plan, reliability, status_strip
+from vapor.reporting.html.landmark_picture import landmark_caption, landmark_picture
 from vapor.reporting.html.page import Block, Page, code, folded, paragraph, picture, section, table
-from vapor.reporting.html.run_figures import belief_plot, error_plot, run_scene, status_strip
+from vapor.reporting.html.run_figures import belief_plot, error_plot, run_scene
+from vapor.reporting.next_steps import next_steps
 from vapor.reporting.record import RunRecord
 from vapor.reporting.report import method_table
 from vapor.tracking.methods import METHODS, in_order
 
-_LONGER = 5  # distances are drawn so many times too long, as one of a pixel would hardly be seen
-_WIDTH = 960  # of the picture
-_GREY, _RIM, _GREEN, _LINE = (200, 200, 200), (70, 70, 70), (60, 230, 80), (255, 150, 40)
-_QUALITY = 85
-
-
-def landmark_picture(shown: ShownLandmarks) -> bytes:
-    """The image as JPEG: features as grey dots, landmarks as green circles, lines to where the pose predicts these."""
-    import cv2
-
-    height, width = shown.image.shape[:2]
-    zoom = _WIDTH / width
-    size = _WIDTH, round(zoom * height)
-    picture = np.ascontiguousarray(cv2.resize(shown.image, size, interpolation=cv2.INTER_CUBIC))
-    fraction = 4  # bits of a pixel
-    ends = shown.seen + _LONGER * (shown.predicted - shown.seen)
-
-    def drawn(at: np.ndarray) -> list[tuple[int, int]]:
-        points = np.rint(((at + 0.5) * zoom - 0.5) * 2**fraction).astype(int)
-        return [(int(x), int(y)) for x, y in points]
-
-    for at in drawn(shown.features):
-        cv2.circle(picture, at, 4 << fraction, _RIM, -1, cv2.LINE_AA, fraction)
-        cv2.circle(picture, at, 3 << fraction, _GREY, -1, cv2.LINE_AA, fraction)
-    for at, end in zip(drawn(shown.seen), drawn(ends), strict=True):
-        cv2.line(picture, at, end, _LINE, 2, cv2.LINE_AA, fraction)
-        cv2.circle(picture, at, 5 << fraction, _GREEN, 2, cv2.LINE_AA, fraction)
-    return as_jpeg(picture, _QUALITY)
-
-
-def landmark_caption(shown: ShownLandmarks, seconds: float) -> str:
-    """The picture in numbers; `seconds` count since the first image."""
-    off = float(np.median(np.linalg.norm(shown.predicted - shown.seen, axis=1)))
-    caption = (
-        f"Image {shown.number}, at {seconds:.1f} s: of {len(shown.features)} features (grey) {len(shown.seen)} are"
-        f" landmarks that agree with the pose (green). Orange lines, {_LONGER} times too long, lead to where these"
-        f" must be seen from it, {off:.1f} of {shown.image.shape[1]} pixels off in the median."
-    )
-    if shown.others:
-        places = "Another place is verified, by" if len(shown.others) == 1 else "Other places are verified, by"
-        caption += f" {places} {', '.join(map(str, shown.others))} landmarks."
-    return caption
-
-
+_NAMED = 2  # times at which the camera was carried off
 _LIMIT_M, _LIMIT_DEG = THRESHOLDS[RIGHT]
 _WITHIN = f"within {_LIMIT_M:g} m and {_LIMIT_DEG:g}° of the truth"
 
@@ -76,8 +32,9 @@ def run_page(
     command: str = "",
 ) -> Page:
     """The page of a run, with its report, the name of its sequence, the content of `config.json`, and its command."""
+    steps, others = next_steps(report, notices)
     sections = _sections(record, report, settings, command)
-    return Page(title, _asked(report, settings), verdict(report, record), sections, notices)
+    return Page(title, _asked(report, settings), verdict(report, record), sections, others, steps)
 
 
 def _asked(report: Mapping[str, Any], settings: Mapping[str, Any]) -> str:
@@ -132,8 +89,10 @@ def _sections(record: RunRecord, report: Mapping[str, Any], settings: Mapping[st
         sections.append(section("Errors", [table(columns, rows, caption, ours)]))
         over_time.append(errors)
     sections.append(section("Over time", [*over_time, belief_plot(record)]))
-    if record.num_verified is not None:
-        sections.append(section("Landmarks", _landmarks(record, record.num_verified)))
+    if record.outline is not None:
+        sections.append(section("From above", [plan(record, record.outline)]))
+    if "verified" in report:
+        sections.append(section("Landmarks", _landmarks(record, report)))
     if (trust := _trust(report)) is not None:
         sections.append(section("Calibration of the uncertainty", trust))
     if report.get("storeys") is not None:
@@ -149,11 +108,13 @@ def _sections(record: RunRecord, report: Mapping[str, Any], settings: Mapping[st
     return sections
 
 
-def _landmarks(record: RunRecord, verified: int) -> list[Block]:
+def _landmarks(record: RunRecord, report: Mapping[str, Any]) -> list[Block]:
+    inliers = report["inliers"]
+    median = "" if inliers is None else f" In the median {inliers:.0f} landmarks agree with the pose of such an image."
     blocks: list[Block] = [
         paragraph(
-            f"Landmarks verified a place in {100 * verified / len(record.times_ns):.0f} % of the images: from there"
-            " they are seen where the image shows them, and the pose is as sharp as that."
+            f"Landmarks verified a place in {100 * report['verified']:.0f} % of the images: from there they are seen"
+            f" where the image shows them, and the pose is as sharp as that.{median}"
         )
     ]
     if (shown := record.landmarks) is not None:
@@ -167,9 +128,17 @@ def _trust(report: Mapping[str, Any]) -> list[Block] | None:
     consistency = report.get("consistency")
     if consistency is None:
         return None
+    weights = [
+        reliability(report["reliability"]),
+        paragraph(
+            "Images by the weight that the filter gave its best mode, and the fraction of them in which that mode is"
+            f" {_WITHIN}. Dots lie on the line where weights are probabilities, and above it where the filter is more"
+            " careful than it need be. Neighbouring images share their errors, so few of them are independent."
+        ),
+    ]
     images = consistency["images"]
     if images == 0:
-        return [paragraph("It called no image converged, so there is nothing to check.")]
+        return [paragraph("It called no image converged, so there is no region to check."), *weights]
     rows = [
         (
             f"true pose in the {name} region".replace("%", " %"),
@@ -188,6 +157,7 @@ def _trust(report: Mapping[str, Any]) -> list[Block] | None:
             "A region is the smallest part of the stated Gaussian with that probability. NEES, the normalised "
             "estimation error squared, is larger than 5.35 where errors are larger than stated."
         ),
+        *weights,
     ]
 
 
@@ -224,7 +194,9 @@ def _counts(report: Mapping[str, Any]) -> Block:
     if (hindsight := report["hindsight"]) is not None:
         rows.append(("smoothed poses of two possible places", str(hindsight["ambiguous"])))
         if carried_off := hindsight["carried_off_s"]:
-            rows.append(("carried off, in hindsight, after", ", ".join(f"{each:.1f} s" for each in carried_off)))
+            more = f", {len(carried_off) - _NAMED} more" if len(carried_off) > _NAMED else ""
+            named = ", ".join(f"{each:.1f} s" for each in carried_off[:_NAMED])
+            rows.append(("carried off, in hindsight, after", named + more))
     if report["peak_rss_mb"] is not None:
         rows.append(("peak memory", f"{report['peak_rss_mb']:.0f} MB"))
     return table(("", ""), rows, "Images, time and memory")

@@ -38,7 +38,7 @@ def test_names_from_files_cannot_become_markup():
         plot("plot", [{"name": "</script>" + NASTY}], {}, NASTY, NASTY),
         folded(NASTY, [code(NASTY)]),
     ]
-    page = ReadPage.of(Page(NASTY, NASTY, NASTY, [section(NASTY, blocks)], [NASTY]).html())
+    page = ReadPage.of(Page(NASTY, NASTY, NASTY, [section(NASTY, blocks)], [NASTY], [(NASTY, NASTY)]).html())
     assert [tag for tag, _ in page.tags].count("script") == 3  # the page's own
     assert page.words.count(NASTY) >= 10
     assert page.data["plot"]["traces"][0]["name"] == "</script>" + NASTY
@@ -70,6 +70,13 @@ def test_every_picture_and_scrolling_table_has_a_name_for_a_screen_reader():
     assert [attrs["alt"] for tag, attrs in page.tags if tag == "img"] == ["a map"]
     (region,) = [attrs for _, attrs in page.tags if attrs.get("role") == "region"]
     assert (region["aria-label"], region["tabindex"]) == ("figures", "0")
+
+
+def test_what_to_do_next_stands_before_notices_and_sections():
+    html = Page("t", "a", "v", [section("part", [])], ["mind the step"], [("Do it.", "For a reason.")]).html()
+    order = [html.index(words) for words in ("Do it.", "For a reason.", "mind the step", "part")]
+    assert order == sorted(order)
+    assert "What to do next" not in Page("t", "a", "v", [], ["mind the step"]).html()
 
 
 def test_a_printed_table_is_the_same_on_a_page():

@@ -1,0 +1,131 @@
+"""What a page says to do next: the cause that a run shows, with its action, and nothing where nothing is amiss."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from filtering.se3 import Poses
+from sequences.frame import Camera
+from sequences.reading.counts import ImageCounts
+from tests.helpers.simulated_run import simulated_record
+from vapor.cameras import AsTakenBy
+from vapor.pipeline.unrecognised import why_unrecognised
+from vapor.reporting.next_steps import MOST_STEPS, next_steps
+from vapor.reporting.report import camera_notices, doubtful_notice
+from vapor.tracking.hindsight import LookBack
+from vapor.training_data.ground import describe_unshown
+
+CAMERA = Camera(width=160, height=120, fx=120.0, fy=120.0, cx=79.5, cy=59.5)
+GOOD = {
+    "frames": 100,
+    "status": {"converged": 0.9, "ambiguous": 0.1, "lost": 0.0},
+    "hindsight": {"ambiguous": 0},
+    "consistency": {"images": 90, "wrong": 0.0, "coverage": {"90%": 0.92}},
+    "verified": 0.8,
+}
+
+
+def actions(*notices: str, **of_report) -> list[str]:
+    return [action for action, _ in next_steps({**GOOD, **of_report}, notices)[0]]
+
+
+def unshown() -> str:
+    line = np.zeros((60, 3))
+    line[:, 0] = np.linspace(0.0, 6.0, 60)
+    training = Poses(np.tile(np.eye(3), (60, 1, 1)), line)
+    walked = Poses(training.rotation, line + np.array([0.0, 5.0, 0.0]))
+    return describe_unshown(walked, training)
+
+
+def unknown_intrinsics() -> str:
+    seen = AsTakenBy(CAMERA, (64, 48))
+    seen(np.zeros((100, 160, 3), np.uint8), None)
+    (notice,) = seen.notices
+    return notice
+
+
+def narrower() -> str:
+    seen = AsTakenBy(CAMERA, (64, 48))
+    seen(np.zeros((120, 160, 3), np.uint8), Camera(width=160, height=120, fx=240.0, fy=240.0, cx=79.5, cy=59.5))
+    (notice,) = seen.notices
+    return notice
+
+
+def of_cameras(**changes) -> str:
+    good = {"images": 100, "left_out": 0, "out_of_distribution": 0}
+    (notice,) = camera_notices({"cameras": {"/front": good, "/rear": {**good, **changes}}})
+    return notice
+
+
+def unrecognised(score) -> str:
+    image = np.tile(np.arange(160, dtype=np.uint8)[None, :, None], (120, 1, 3)) + np.array([0, 9, 90], np.uint8)
+    return why_unrecognised([(image, None)], score)
+
+
+def few() -> str:
+    counts = ImageCounts(100, 100, 20)
+    counts.skipped["undecodable_image"] = 80
+    return counts.warning
+
+
+@pytest.mark.parametrize(
+    ("make", "action"),
+    [
+        (unshown, "Record this ground again"),
+        (unknown_intrinsics, "State the focal length"),
+        (narrower, "Train with images of this camera"),
+        (lambda: of_cameras(left_out=90), "Check this camera"),
+        (lambda: of_cameras(out_of_distribution=90), "Check this camera"),
+        (
+            lambda: unrecognised(lambda image, camera: 3.0 - 2.9 * (image[0, 0, 0] > image[0, 0, 2])),
+            "Correct the images",
+        ),
+        (lambda: unrecognised(lambda image, camera: 0.1), "Compare clocks and axes"),
+        (lambda: unrecognised(lambda image, camera: 3.0), "Record this place with this camera"),
+        (few, "Mend the recording"),
+    ],
+)
+def test_what_a_notice_of_a_run_says_has_its_action(make, action):
+    notice = make()
+    (step,), others = next_steps(GOOD, ["mind the step", notice])
+    assert step[0].startswith(action)
+    assert step[1].lower().startswith(notice.lower())
+    assert others == ["mind the step"]
+
+
+def test_what_the_report_shows_has_its_action():
+    assert actions() == []
+    wrong = {"images": 90, "wrong": 0.3, "coverage": {"90%": 0.6}}
+    assert actions(consistency=wrong)[0].startswith("Calibrate")
+    assert actions(consistency={**wrong, "images": 9}) == []
+    assert actions(consistency={"images": 0, "wrong": None, "coverage": None}) == []
+    assert actions(status={"converged": 0.1, "ambiguous": 0.9})[0].startswith("Move on")
+    assert actions(status={"converged": 0.0, "ambiguous": 1.0})[0].startswith("Check that the model is of this place")
+    assert actions(status={"converged": 0.1, "lost": 0.9}) == []  # which a notice explains
+    assert actions(hindsight={"ambiguous": 80})[0].startswith("Compare smoothed.tum")
+    assert actions(hindsight=None) == []
+    assert actions(verified=0.1)[0].startswith("Record this place again")
+
+
+def test_odometry_is_suspected_only_where_the_place_is_known():
+    nowhere = LookBack({}, None, np.zeros(20, bool), np.zeros(20), np.zeros(20, bool))
+    doubtful = doubtful_notice(replace(simulated_record(20), look_back=nowhere))
+    assert actions(doubtful) == ["Check the odometry there: vapor-track inspect, or --odometry both."]
+    (step,), others = next_steps({**GOOD, "status": {"converged": 0.1, "ambiguous": 0.9}}, [doubtful])
+    assert step[0].startswith("Move on")
+    assert others == [doubtful]
+
+
+def test_steps_are_few_and_those_left_out_are_notices():
+    notices = [few(), unknown_intrinsics(), of_cameras(left_out=90), unshown(), narrower()]
+    steps, others = next_steps(GOOD, notices[::-1])
+    assert [each[0].split(",")[0].split(":")[0] for each in steps] == [
+        "Mend the recording",
+        "State the focal length",
+        "Check this camera",
+        "Record this ground again",
+    ]
+    assert len(steps) == MOST_STEPS
+    assert len(others) == 1
+    assert "sees" in others[0]

@@ -1,0 +1,96 @@
+"""What the user of a run should do next, from its report and its notices."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from vapor.evaluation.consistency import REGIONS
+
+MOST_STEPS = 4
+_LEAST_IMAGES = 50  # that a statement on the calibration needs
+_FEW, _FEW_VERIFIED = 0.5, 0.2  # of the images, converged and with landmarks, below which something is amiss
+_HARDLY = 0.05  # of the images, converged, below which it may be another place
+_AMBIGUOUS = 0.5  # of the smoothed poses
+_TOO_SURE = 0.2  # by which a region may hold less than stated
+_WRONG = 0.05  # of the converged images
+
+_OF_NOTICES: tuple[tuple[str, str], ...] = (
+    (r"^Only \d+ of \d+ images were used", "Mend the recording, or record again: most of its images are lost."),
+    (r"^images look like .* only when (?P<change>.*?)(?: \(.*)?:", "Correct the images where they are made."),
+    (r"^images look like .* does not agree", "Compare clocks and axes: vapor-track inspect, with this recording."),
+    (r"^images (are grey|look unlike)", "Record this place with this camera in this light, and train with it, too."),
+    (r"camera of unknown intrinsics", "State the focal length: record CameraInfo, or write an intrinsics.json."),
+    (r"but their camera info states|^distortion model", "Correct the CameraInfo: it is not used as it is."),
+    (r"images are unlike the training|were left out, as they fit nowhere", "Check this camera: mount, clock and lens."),
+    (r"where no training image is within", "Record this ground again, and train with it, too."),
+    (
+        r"sees \d+% of what the camera learned with saw",
+        "Train with images of this camera, or use that of the training.",
+    ),
+    (r"^gravity is off the images", "Check how the inertial unit is mounted: its frame in tf, and its axes."),
+    (r"wheels slip, or something moves", "Look at the wheels: where odometry is wrong, use --odometry both."),
+)
+"""What a notice looks like -> what to do, the most urgent first."""
+_OF_CONVERGED = (
+    (r"^\d+ of \d+ smoothed poses are doubtful", "Check the odometry there: vapor-track inspect, or --odometry both."),
+)
+"""The same of a run that is mostly converged: elsewhere it is the place that is in doubt."""
+
+
+def next_steps(report: Mapping[str, Any], notices: Sequence[str]) -> tuple[list[tuple[str, str]], list[str]]:
+    """Actions with their reasons, the most urgent first, and the notices that ask for none.
+
+    Args:
+        report: Content of `report.json`.
+        notices: On the run.
+    """
+    steps, others = [], list(notices)
+    for pattern, action in _OF_NOTICES + (_OF_CONVERGED if _converged(report) >= _FEW else ()):
+        for notice in [each for each in others if re.search(pattern, each)]:
+            others.remove(notice)
+            steps.append((action, _sentence(notice)))
+    steps += _of_report(report)
+    return steps[:MOST_STEPS], others + [reason for _, reason in steps[MOST_STEPS:]]
+
+
+def _of_report(report: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Actions by figures that no notice states."""
+    steps = []
+    consistency, frames = report.get("consistency"), report["frames"]
+    if consistency is not None and consistency["images"] >= _LEAST_IMAGES:
+        held = consistency["coverage"]["90%"]
+        if held < REGIONS["90%"] - _TOO_SURE or consistency["wrong"] > _WRONG:
+            reason = (
+                f"The 90 % regions hold {100 * held:.0f} % of the true poses, and {100 * consistency['wrong']:.0f} % of"
+                " the converged images are wrong: the stated errors are too small for this recording."
+            )
+            steps.append(("Calibrate with a recording of such conditions: vapor-track calibrate.", reason))
+    converged, lost = _converged(report), report["status"].get("lost", 0.0)
+    if converged < _HARDLY and lost < _FEW:
+        reason = f"{100 * converged:.0f} % of the images are converged: hardly any says which place it is."
+        steps.append(("Check that the model is of this place, and that the walk shows something unique.", reason))
+    elif converged < _FEW and lost < _FEW:
+        reason = (
+            f"Only {100 * converged:.0f} % of the images are converged: from what they show, several places remain."
+        )
+        steps.append(("Move on until something looks different, or look with more cameras.", reason))
+    elif (back := report["hindsight"]) is not None and back["ambiguous"] > _AMBIGUOUS * frames:
+        reason = f"{back['ambiguous']} of {frames} smoothed poses have a second place that is nearly as probable."
+        steps.append(("Compare smoothed.tum with smoothed_second.tum before you use either.", reason))
+    if report.get("verified", 1.0) < _FEW_VERIFIED:
+        reason = (
+            f"Landmarks verified a place in {100 * report['verified']:.0f} % of the images only, and poses are exact to"
+            " centimetres only there."
+        )
+        steps.append(("Record this place again with sharp, well-lit images, and train with them.", reason))
+    return steps
+
+
+def _converged(report: Mapping[str, Any]) -> float:
+    return report["status"].get("converged", 0.0)
+
+
+def _sentence(notice: str) -> str:
+    return f"{notice[:1].upper()}{notice[1:]}{'' if notice.endswith('.') else '.'}"
