@@ -25,7 +25,7 @@ from sequences.recordings.source import RawMessage, decode
 _KEPT_NS, _PRESSURE_NS = 30 * 10**9, 120 * 10**9  # samples of a unit, and pressures, that are remembered
 _MOST_NEW = 500  # messages
 _ENOUGH_FRAMES = 60  # to say how their motions differ
-_SILENT_S = 5.0
+_SILENT_S, _LATE_S = 5.0, 0.1
 _LOOKS = 3  # at topics that are there and say nothing yet, or are not linked by tf yet
 
 
@@ -57,6 +57,7 @@ class LiveSensors:
         self._came_s: dict[str, float] = {}
         self._said: dict[str, None] = {}
         self._looks_left, self._num_new = _LOOKS, 0
+        self._apart_s = 0.0  # stamp of the latest sample after that of the latest image
         self._look(is_first=True)
 
     def begin(self, *, usual_up: Up | None, has_metres: bool) -> None:
@@ -130,10 +131,13 @@ class LiveSensors:
             self.motion.begin_anew()
         elif self.barometer is not None:
             self.barometer.begin_anew()
+            self.motion.lifts.begin_anew()
 
     def seen(self, frame: Frame, begin_ns: int | None) -> Frame:
         """See `MotionSensors.seen`."""
         self._follow()
+        if self.unit is not None and self.unit.last_ns is not None:
+            self._apart_s = (self.unit.last_ns - frame.time_ns) * 1e-9
         return self.motion.seen(frame, begin_ns)
 
     def _follow(self) -> None:
@@ -162,7 +166,19 @@ class LiveSensors:
         """Sentences for users, by the messages so far."""
         of_each = [notice for each in (self.unit, self.barometer) if each is not None for notice in each.notices]
         of_motions = self.motion.notices if self.motion.num_frames >= _ENOUGH_FRAMES else []
-        return [*self._said, *of_each, *of_motions, *self.silent]
+        return [*self._said, *of_each, *of_motions, *self._apart, *self.silent]
+
+    @property
+    def _apart(self) -> list[str]:
+        """A sentence for users, where samples come, but hardly ever those of the time of an image."""
+        unit, motion = self.unit, self.motion
+        is_apart = not -_LATE_S < self._apart_s < _KEPT_NS * 1e-9
+        if unit is None or not is_apart or 2 * motion.num_without < max(motion.num_frames, _ENOUGH_FRAMES):
+            return []
+        return [
+            f"{unit.name}: its stamps are {self._apart_s:+.1f} s from those of the images, expected {-_LATE_S:g} s at"
+            f" least: {motion.num_without} of {motion.num_frames} images have no gravity (another clock, or a slow driver)"
+        ]
 
     def values(self, gravity: Gravity | None) -> dict[str, object]:
         """Figures for diagnostics, by name; none without sensors.

@@ -145,6 +145,17 @@ def test_a_units_clock_that_is_set_begins_the_unit_anew_and_nothing_else(by_s: i
     assert not any([*without[1:10], *without[23:]])
 
 
+@pytest.mark.parametrize("by_s", [-5, 0, 40])
+def test_a_unit_by_another_clock_than_the_images_is_told(by_s: int, said: list[RawMessage]) -> None:
+    robot = sensing([stamped(raw, stamp_of(raw) + by_s * SECOND) if raw.topic == IMU else raw for raw in said])
+    for _ in range(2):  # more frames than in this walk
+        for _, frame in robot.frames:
+            robot.reader.sensors.seen(frame, None)
+    told = [notice for notice in robot.reader.sensors.notices if "stamps" in notice]
+    assert len(told) == (by_s != 0)
+    assert all(f"{IMU}: its stamps are {by_s:+d}." in notice or "-4.9 s" in notice for notice in told)
+
+
 def test_a_clock_of_all_that_is_set_leaves_the_bias(said: list[RawMessage]) -> None:
     shifted = [
         stamped(raw, stamp_of(raw) - 5 * SECOND) if "tf" not in raw.topic and at_ms(raw) > 1000 else raw for raw in said
