@@ -174,8 +174,8 @@ class LiveReader:
 
     def _take(self, raw: RawMessage) -> None:
         raw = self.heard.keep(raw)
+        self.sensors.take(raw)
         if raw.topic not in self.streamed:
-            self.sensors.take(raw)
             return
         message = decode(self.heard, raw, tolerate=True)
         is_image = raw.topic in self.lenses
@@ -237,7 +237,7 @@ class LiveReader:
         return self._pairing.newest_frame()
 
     def take_in_order(self) -> None:
-        """Take no image from now on that is older than the latest frame; several cameras wait for each other a little."""
+        """Take no image from now on that is older than the latest frame; cameras wait a little for each other."""
         self._late_ns = self._pairing.frames.late_ns = 0
         self._in_order_ns = self._pairing.in_order_ns = _IN_ORDER_NS
 

@@ -20,7 +20,7 @@ from sequences.options import ReadingOptions
 from sequences.reading.roles import Roles
 from sequences.reading.timeline import ClockOfStream
 from sequences.recordings.messages import stamp_ns
-from sequences.recordings.source import RawMessage, decode
+from sequences.recordings.source import TF_STATIC, RawMessage, decode
 
 _KEPT_NS, _PRESSURE_NS = 30 * 10**9, 120 * 10**9  # samples of a unit, and pressures, that are remembered
 _MOST_NEW = 500  # messages
@@ -57,6 +57,7 @@ class LiveSensors:
         self._came_s: dict[str, float] = {}
         self._said: dict[str, None] = {}
         self._looks_left, self._num_new = _LOOKS, 0
+        self._have_spoken = set[str]()  # topics
         self._apart_s = 0.0  # stamp of the latest sample after that of the latest image
         self._look(is_first=True)
 
@@ -81,7 +82,7 @@ class LiveSensors:
                         heard.hear(topic.name)
 
     def look_again(self, *, changed: bool) -> None:
-        """Look for sensors that are not there yet, a few times after the topics have `changed`."""
+        """Look for sensors that are not there yet, a few times after topics have `changed`, or one spoke at last."""
         self._looks_left = _LOOKS if changed else self._looks_left
         if self._looks_left > 0:
             self._looks_left -= 1
@@ -104,6 +105,9 @@ class LiveSensors:
 
     def take(self, raw: RawMessage) -> None:
         """Take a message of any topic; those of others are ignored."""
+        if raw.topic not in self._have_spoken or raw.topic == TF_STATIC:  # it may be, or link, what was looked for
+            self._have_spoken.add(raw.topic)
+            self._looks_left = _LOOKS
         if raw.topic not in self.names:
             return
         message = decode(self._heard, raw, tolerate=True)
@@ -177,7 +181,7 @@ class LiveSensors:
             return []
         return [
             f"{unit.name}: its stamps are {self._apart_s:+.1f} s from those of the images, expected {-_LATE_S:g} s at"
-            f" least: {motion.num_without} of {motion.num_frames} images have no gravity (another clock, or a slow driver)"
+            f" least: {motion.num_without} of {motion.num_frames} images have no gravity (another clock, a slow driver)"
         ]
 
     def values(self, gravity: Gravity | None) -> dict[str, object]:
