@@ -14,7 +14,7 @@ from sequences.frame import Frame, Gravity
 from sequences.inertial.barometer import Barometer
 from sequences.inertial.motion_sensors import MotionSensors, Up
 from sequences.inertial.samples import InertialUnit
-from sequences.inertial.topics import IMU_TYPE, PRESSURE_TYPE, find_barometer, find_inertial
+from sequences.inertial.topics import IMU_TYPE, PRESSURE_TYPE, find_barometer, find_inertial, without_metres
 from sequences.live.topic_buffer import TopicBuffer
 from sequences.options import ReadingOptions
 from sequences.reading.roles import Roles
@@ -70,6 +70,8 @@ class LiveSensors:
         """
         self.motion.usual_up = usual_up
         if not has_metres:
+            if self.barometer is not None:
+                self._said[without_metres(self.barometer.name)] = None
             self.barometer, self._options = None, replace(self._options, pressure_topic="")
 
     @staticmethod
