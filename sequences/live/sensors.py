@@ -179,7 +179,12 @@ class LiveSensors:
         """A sentence for users, where samples come, but hardly ever those of the time of an image."""
         unit, motion = self.unit, self.motion
         is_apart = not -_LATE_S < self._apart_s < _KEPT_NS * 1e-9
-        if unit is None or not is_apart or 2 * motion.num_without < max(motion.num_frames, _ENOUGH_FRAMES):
+        if (
+            unit is None
+            or self.silent
+            or not is_apart
+            or 2 * motion.num_without < max(motion.num_frames, _ENOUGH_FRAMES)
+        ):
             return []
         return [
             f"{unit.name}: its stamps are {self._apart_s:+.1f} s from those of the images, expected {-_LATE_S:g} s at"

@@ -156,6 +156,10 @@ def test_a_unit_by_another_clock_than_the_images_is_told(by_s: int, said: list[R
     told = [notice for notice in robot.reader.sensors.notices if "stamps" in notice]
     assert len(told) == (by_s != 0)
     assert all(f"{IMU}: its stamps are {by_s:+d}." in notice or "-4.9 s" in notice for notice in told)
+    robot.reader.sensors._came_s[IMU] -= 100.0
+    silent = robot.reader.sensors.notices
+    assert any("no message on" in notice for notice in silent)
+    assert not any("stamps" in notice for notice in silent)
 
 
 def test_a_clock_of_all_that_is_set_leaves_the_bias(said: list[RawMessage]) -> None:
