@@ -157,7 +157,7 @@ class Odometry:
         carry = rest.inverse().adjoint()
         covariance = _nearest_semidefinite(self.covariance - carry @ first.covariance @ carry.T)
         left = Odometry(rest, covariance, max(self.duration_s - first.duration_s, 0.0))
-        return left if self.knows_translation else left.rotation_only
+        return left if self.knows_translation and first.knows_translation else left.rotation_only
 
 
 def require_odometry(odometry: Odometry) -> None:

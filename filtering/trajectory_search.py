@@ -138,6 +138,7 @@ def _step_back(
     else:
         variance = motion.covariance.diagonal()
         wider_m, wider_rad = (2.0 * float(np.sqrt(each.max())) for each in (variance[:3], variance[3:]))
+        wider_m = wider_m if motion.knows_translation else 2.0 * gap.speed_m_per_s * motion.duration_s
         moved = moved @ motion.previous_from_current.inverse()
     target = int(np.argmax(log_value))
     jump = float(log_value[target]) + log_rate

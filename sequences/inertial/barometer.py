@@ -30,6 +30,7 @@ _CATCH_UP_S = 1.0  # in which the height comes that a ride had before it was one
 _LITTLE = 1e-4  # variance of what is left of it, m²: that comes at once
 _FEWEST = 10
 _MOST_RIDES = 100  # that are remembered
+_CLOCK_SET_NS = 10 * 10**9  # further back no motion is a late one
 
 
 @dataclass(frozen=True)
@@ -188,7 +189,13 @@ class LiftRides:
     """
 
     def __init__(self, rides: Sequence[Ride] = ()) -> None:
-        self.rides, self.num_motions = list(rides), 0
+        self.num_motions = 0
+        self.begin_anew()
+        self.rides = list(rides)
+
+    def begin_anew(self) -> None:
+        """Forget the rides, and what was in motions: a clock was set."""
+        self.rides: list[Ride] = []
         self._recent: deque[tuple[float, Float64[np.ndarray, "3"]]] = deque()  # seconds and translation of motions
         self._until_ns: int | None = None  # up to here rides are in the motions, or odometry moved
         self._seen_ns: int | None = None  # end of the latest motion
@@ -212,6 +219,8 @@ class LiftRides:
             odometry: Of the camera; None where it is unknown.
             up: About the axes of the camera; None where it is unknown.
         """
+        if self._seen_ns is not None and self._seen_ns - end_ns > _CLOCK_SET_NS:
+            self.begin_anew()
         if end_ns <= begin_ns or (self._seen_ns is not None and end_ns <= self._seen_ns):
             return odometry
         self._seen_ns = end_ns

@@ -65,6 +65,11 @@ def find_barometer(bag: MessageSource, options: ReadingOptions) -> Barometer | N
     return Barometer(topics[0].name) if topics else None
 
 
+def without_metres(barometer: str) -> str:
+    """A sentence for users, where a barometer is of no use."""
+    return f"{barometer} is not used: its heights are added to recorded or published odometry alone"
+
+
 def _candidates(bag: MessageSource, role: str, message_type: str, named: str | None) -> list[Topic]:
     """The topic named, or all of a type, those with the most messages first."""
     if named == "":

@@ -27,6 +27,7 @@ from sequences.recordings.messages import stamp_ns
 from sequences.recordings.source import TF_STATIC, RawMessage, choose, decode, first
 
 _MOST_WAITING = 16  # images, still encoded, for odometry to come as far
+_IN_ORDER_NS = 100_000_000  # that the image of a camera waits for those of others, where their order counts
 _HEARD_EARLY = ("nav_msgs/Odometry", "sensor_msgs/CameraInfo", "tf2_msgs/TFMessage")  # some come only once
 
 
@@ -66,7 +67,7 @@ class LiveReader:
             SequenceError: something cannot be used, or there is a choice to make.
         """
         self.path: Path = heard.path
-        self._late_ns = round(late_window_s * 1e9)
+        self._late_ns, self._in_order_ns = round(late_window_s * 1e9), 0
         self.heard = heard
         shared = {field.name: getattr(options, field.name) for field in fields(ReadingOptions)}
         usual = tuple(name for name in usual_cameras if name in heard.topics)
@@ -93,6 +94,7 @@ class LiveReader:
         self.streamed = list(self.roles.watched)
         for name in self.streamed:
             heard.hear(name)
+        self._odometry_at_first = set(self._odometry_topics)
         self._arrived_ns: dict[int, int] = {}  # by stamp, of the latest images
         self.readings = 0
         self._past_counts, self._past_messages = ImageCounts(0), Counter[str]()
@@ -104,9 +106,11 @@ class LiveReader:
     def _begin(self) -> FramePairing:
         self.readings += 1
         self._fed: set[str] = set()  # topics that this reading has messages of
-        return FramePairing(
+        pairing = FramePairing(
             self.roles, self.lenses, 0, most_waiting=_MOST_WAITING, over_gaps=False, late_ns=self._late_ns
         )
+        pairing.in_order_ns = self._in_order_ns
+        return pairing
 
     @property
     def camera(self) -> Camera | None:
@@ -117,6 +121,16 @@ class LiveReader:
     def has_odometry(self) -> bool:
         """Whether it reads odometry."""
         return self.roles.extrinsics is not None
+
+    @property
+    def _odometry_topics(self) -> list[str]:
+        return [topic.name for topic in self.heard.topics.values() if topic.read_as == "nav_msgs/Odometry"]
+
+    @property
+    def notices(self) -> list[str]:
+        """Sentences for users: odometry that came too late, where it reads none."""
+        late = [] if self.has_odometry else [n for n in self._odometry_topics if n not in self._odometry_at_first]
+        return [f"{name} came after the start, and is not used: it is after a restart (--odometry)" for name in late]
 
     def _find_base(self, options: ReadingOptions) -> Poses:
         """The camera on the robot; without odometry on base_link, or else the robot is the camera."""
@@ -160,8 +174,8 @@ class LiveReader:
 
     def _take(self, raw: RawMessage) -> None:
         raw = self.heard.keep(raw)
+        self.sensors.take(raw)
         if raw.topic not in self.streamed:
-            self.sensors.take(raw)
             return
         message = decode(self.heard, raw, tolerate=True)
         is_image = raw.topic in self.lenses
@@ -223,8 +237,9 @@ class LiveReader:
         return self._pairing.newest_frame()
 
     def take_in_order(self) -> None:
-        """Take no image from now on that is older than the latest frame."""
+        """Take no image from now on that is older than the latest frame; cameras wait a little for each other."""
         self._late_ns = self._pairing.frames.late_ns = 0
+        self._in_order_ns = self._pairing.in_order_ns = _IN_ORDER_NS
 
     def ready_frames(self) -> Iterator[Frame]:
         """All images that odometry has reached and that were not returned before, in order of time."""

@@ -14,18 +14,18 @@ from sequences.frame import Frame, Gravity
 from sequences.inertial.barometer import Barometer
 from sequences.inertial.motion_sensors import MotionSensors, Up
 from sequences.inertial.samples import InertialUnit
-from sequences.inertial.topics import IMU_TYPE, PRESSURE_TYPE, find_barometer, find_inertial
+from sequences.inertial.topics import IMU_TYPE, PRESSURE_TYPE, find_barometer, find_inertial, without_metres
 from sequences.live.topic_buffer import TopicBuffer
 from sequences.options import ReadingOptions
 from sequences.reading.roles import Roles
 from sequences.reading.timeline import ClockOfStream
 from sequences.recordings.messages import stamp_ns
-from sequences.recordings.source import RawMessage, decode
+from sequences.recordings.source import TF_STATIC, RawMessage, decode
 
 _KEPT_NS, _PRESSURE_NS = 30 * 10**9, 120 * 10**9  # samples of a unit, and pressures, that are remembered
 _MOST_NEW = 500  # messages
 _ENOUGH_FRAMES = 60  # to say how their motions differ
-_SILENT_S = 5.0
+_SILENT_S, _LATE_S = 5.0, 0.1
 _LOOKS = 3  # at topics that are there and say nothing yet, or are not linked by tf yet
 
 
@@ -57,6 +57,8 @@ class LiveSensors:
         self._came_s: dict[str, float] = {}
         self._said: dict[str, None] = {}
         self._looks_left, self._num_new = _LOOKS, 0
+        self._have_spoken = set[str]()  # topics
+        self._apart_s = 0.0  # stamp of the latest sample after that of the latest image
         self._look(is_first=True)
 
     def begin(self, *, usual_up: Up | None, has_metres: bool) -> None:
@@ -68,6 +70,8 @@ class LiveSensors:
         """
         self.motion.usual_up = usual_up
         if not has_metres:
+            if self.barometer is not None:
+                self._said[without_metres(self.barometer.name)] = None
             self.barometer, self._options = None, replace(self._options, pressure_topic="")
 
     @staticmethod
@@ -80,7 +84,7 @@ class LiveSensors:
                         heard.hear(topic.name)
 
     def look_again(self, *, changed: bool) -> None:
-        """Look for sensors that are not there yet, a few times after the topics have `changed`."""
+        """Look for sensors that are not there yet, a few times after topics have `changed`, or one spoke at last."""
         self._looks_left = _LOOKS if changed else self._looks_left
         if self._looks_left > 0:
             self._looks_left -= 1
@@ -103,6 +107,9 @@ class LiveSensors:
 
     def take(self, raw: RawMessage) -> None:
         """Take a message of any topic; those of others are ignored."""
+        if raw.topic not in self._have_spoken or raw.topic == TF_STATIC:  # it may be, or link, what was looked for
+            self._have_spoken.add(raw.topic)
+            self._looks_left = _LOOKS
         if raw.topic not in self.names:
             return
         message = decode(self._heard, raw, tolerate=True)
@@ -130,10 +137,13 @@ class LiveSensors:
             self.motion.begin_anew()
         elif self.barometer is not None:
             self.barometer.begin_anew()
+            self.motion.lifts.begin_anew()
 
     def seen(self, frame: Frame, begin_ns: int | None) -> Frame:
         """See `MotionSensors.seen`."""
         self._follow()
+        if self.unit is not None and self.unit.last_ns is not None:
+            self._apart_s = (self.unit.last_ns - frame.time_ns) * 1e-9
         return self.motion.seen(frame, begin_ns)
 
     def _follow(self) -> None:
@@ -162,7 +172,24 @@ class LiveSensors:
         """Sentences for users, by the messages so far."""
         of_each = [notice for each in (self.unit, self.barometer) if each is not None for notice in each.notices]
         of_motions = self.motion.notices if self.motion.num_frames >= _ENOUGH_FRAMES else []
-        return [*self._said, *of_each, *of_motions, *self.silent]
+        return [*self._said, *of_each, *of_motions, *self._apart, *self.silent]
+
+    @property
+    def _apart(self) -> list[str]:
+        """A sentence for users, where samples come, but hardly ever those of the time of an image."""
+        unit, motion = self.unit, self.motion
+        is_apart = not -_LATE_S < self._apart_s < _KEPT_NS * 1e-9
+        if (
+            unit is None
+            or self.silent
+            or not is_apart
+            or 2 * motion.num_without < max(motion.num_frames, _ENOUGH_FRAMES)
+        ):
+            return []
+        return [
+            f"{unit.name}: its stamps are {self._apart_s:+.1f} s from those of the images, expected {-_LATE_S:g} s at"
+            f" least: {motion.num_without} of {motion.num_frames} images have no gravity (another clock, a slow driver)"
+        ]
 
     def values(self, gravity: Gravity | None) -> dict[str, object]:
         """Figures for diagnostics, by name; none without sensors.

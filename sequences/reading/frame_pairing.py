@@ -61,6 +61,7 @@ class FramePairing:
 
     Attributes:
         frames: Times of the latest frames, and the motion between them.
+        in_order_ns: Images are also held until all cameras have come as far, or one so much later has; 0 for never.
         reaches: Whether odometry and true poses have come as far as a stamp; `MotionStreams` reads on first.
         frames_span_ns: Stamps of the first and the last frame; None before any.
         used: How many images of each camera became frames.
@@ -90,7 +91,7 @@ class FramePairing:
             over_gaps: Whether odometry leads over times without messages.
             late_ns: See `FrameTimes`.
         """
-        self._most_waiting, self._lateness_ns = most_waiting, lateness_ns
+        self._most_waiting, self._lateness_ns, self.in_order_ns = most_waiting, lateness_ns, 0
         self.skipped = SkipCounter(num_images)
         self.segment = RequestedSegment(begin_ns, roles.options.start_s, roles.options.duration_s)
         self.motion = MotionOfCamera(roles, self.skipped, over_gaps=over_gaps)
@@ -110,6 +111,7 @@ class FramePairing:
         self._decoded_ns: dict[str, int] = {}  # stamp of the latest picture of each camera
         self._numbers = count()
         self._images_ns: tuple[int, int] | None = None  # earliest and latest stamp
+        self._came_ns: dict[str, int] = {}  # latest stamp of each camera
         self._overtaken: list[_Taken] = []  # by a newer frame, in the order of stamps
         self.frames_span_ns: tuple[int, int] | None = None
 
@@ -154,6 +156,7 @@ class FramePairing:
         time_ns = stamp_ns(message.header)
         begin_ns, end_ns = self._images_ns or (time_ns, time_ns)
         self._images_ns = min(begin_ns, time_ns), max(end_ns, time_ns)
+        self._came_ns[raw.topic] = max(time_ns, self._came_ns.get(raw.topic, time_ns))
         if self._streams[raw.topic].remembers or self.segment.has(time_ns):
             self._wait(raw.topic, time_ns, message)
         else:
@@ -246,8 +249,12 @@ class FramePairing:
         _, _, time_ns, camera, _ = waiting
         is_too_many = at_end or len(self._waiting) > self._most_waiting * len(self._cameras)
         as_it_came = len(self._cameras) == 1 and self._streams[camera].remembers
-        in_order = as_it_came or self._latest_ns - time_ns >= self._lateness_ns
+        is_old = self._latest_ns - time_ns >= max(self._lateness_ns, self.in_order_ns)
+        in_order = as_it_came or is_old or (self.in_order_ns > 0 and self._all_came_to(time_ns))
         return (is_too_many or in_order) and (self.reaches(time_ns) or is_too_many)
+
+    def _all_came_to(self, time_ns: int) -> bool:
+        return all(self._came_ns.get(name, -1 << 63) >= time_ns for name in self._cameras)
 
     def _frame_asked_for(self, taken: _Taken) -> Frame | None:
         if not self.segment.has(taken.picture.time_ns):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
@@ -38,6 +39,7 @@ class OdometryStream:
         self._window = PoseWindow(MAX_ODOMETRY_GAP_S)
         self._last = Poses.identity()  # of velocities and increments, whose sum is a pose
         self._unknown: list[tuple[int, int]] = []  # times between which there is neither
+        self._turns: list[tuple[int, int]] = []  # likewise, of increments of which the rotation alone is known
 
     def add_pose(
         self, time_ns: int, odom_from_base: Poses, twist_covariance: Float64[np.ndarray, "6 6"] | None = None
@@ -93,7 +95,10 @@ class OdometryStream:
             before_ns = begin_ns
         seconds = max((time_ns - before_ns) * 1e-9, 1e-9)
         moved = self._last @ odometry.previous_from_current
-        self._append("increments", time_ns, moved, odometry.spread_noise / seconds**2)
+        if self._append("increments", time_ns, moved, odometry.spread_noise / seconds**2) and not (
+            odometry.knows_translation
+        ):
+            self._turns.append((before_ns, time_ns))
 
     def _append(self, form: Form, time_ns: int, pose: Poses, covariance: Float64[np.ndarray, "6 6"] | None) -> bool:
         """Take a pose of a form; False where it is left out."""
@@ -130,11 +135,12 @@ class OdometryStream:
     def odometry_between(self, start_ns: int, end_ns: int) -> Odometry | None:
         """See `KnownMotion.odometry_between`."""
         leads = self._window.leads(start_ns, end_ns) if self._form == "poses" else True
-        if not leads or any(begin < end_ns and start_ns < end for begin, end in self._unknown):
+        if not leads or _overlap(self._unknown, start_ns, end_ns):
             return None
-        return self._window.odometry_between(
+        moved = self._window.odometry_between(
             start_ns, end_ns, base_from_camera=self._base_from_camera, motion_noise=self._motion_noise
         )
+        return moved.rotation_only if moved is not None and _overlap(self._turns, start_ns, end_ns) else moved
 
     def odom_from_base(self, time_ns: int) -> Poses | None:
         """Pose of the base, one pose; None where odometry does not cover the time."""
@@ -143,7 +149,11 @@ class OdometryStream:
     def forget_before(self, time_ns: int) -> None:
         """See `KnownMotion.forget_before`."""
         self._window.forget_before(time_ns)
-        self._unknown = [each for each in self._unknown if each[1] > time_ns]
+        self._unknown, self._turns = ([e for e in each if e[1] > time_ns] for each in (self._unknown, self._turns))
+
+
+def _overlap(spans: Sequence[tuple[int, int]], start_ns: int, end_ns: int) -> bool:
+    return any(begin_ns < end_ns and start_ns < over_ns for begin_ns, over_ns in spans)
 
 
 def _require_pose(pose: Poses) -> None:

@@ -48,6 +48,7 @@ class VisualFrames:
         self._tracked, self._given = Rate(max(TRACKED_HZ, most_hz)), Rate(most_hz)
         self._rates, self._others = dict[str, Rate](), list[Frame]()
         self._last_ns: int | None = None
+        self._showed_ns: int | None = None  # stamp of the latest image of the camera that is localized
 
     @property
     def disagreed_s(self) -> float:
@@ -79,6 +80,7 @@ class VisualFrames:
         if frame.reference_from_camera is not None:
             yield from self._take_other(frame)
             return
+        self._showed_ns = frame.time_ns
         if not self._tracked.is_due(frame.time_ns):
             self.num_between += 1
             return
@@ -104,7 +106,8 @@ class VisualFrames:
         is_due = self._rates.setdefault(frame.camera_name, Rate(self._most_hz)).is_due(frame.time_ns)
         self._others += [frame] if is_due else []
         self.num_between += not is_due
-        if is_due and (frame.time_ns - self._others[0].time_ns) * 1e-9 > _SILENT_S:  # the first camera shows nothing
+        showed_ns = self._showed_ns = frame.time_ns if self._showed_ns is None else self._showed_ns
+        if is_due and (frame.time_ns - showed_ns) * 1e-9 > _SILENT_S:  # the first camera shows nothing
             is_known = self._fusion is not None and self._last_ns is not None
             motion = joined([*self._since, joined(self._recorded)]) if is_known else None
             yield from _along(self._others, motion, self._last_ns)

@@ -103,3 +103,11 @@ def test_a_duration_that_is_none_is_refused_with_its_value(duration_s):
 def test_a_negative_drift_is_refused():
     with pytest.raises(VaporTrackError, match=r"drift is .*-1.0.*, expected each axis"):
         OdometryBias(drift=(0.0, 0.0, 0.0, 0.0, 0.0, -1.0))
+
+
+def test_after_a_part_of_which_the_rotation_alone_is_known_the_way_that_is_left_is_unknown():
+    whole = Odometry(Poses.exp(TWIST), 1e-4 * np.eye(6), 1.0)
+    rest = whole.after(Odometry.turn(Poses.exp(0.5 * TWIST), 1e-6 * np.eye(3), 0.5))
+    assert not rest.knows_translation
+    np.testing.assert_allclose(rest.tangent, np.append(np.zeros(3), 0.5 * TWIST[3:]), atol=1e-9)
+    assert rest.duration_s == 0.5

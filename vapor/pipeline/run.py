@@ -15,8 +15,9 @@ from filtering.se3 import Poses
 from sequences.frame import Camera, Frame
 from sequences.frame_source import FrameSource, RestatedSequence
 from sequences.image_sequence import ImageSequence, is_image_sequence
+from sequences.inertial.motion_sensors import Up
 from sequences.inertial.sequence import InertialSequence
-from sequences.inertial.topics import read_inertial, read_rides
+from sequences.inertial.topics import read_inertial, read_rides, without_metres
 from sequences.options import SequenceOptions
 from sequences.outputs import results_folder
 from sequences.reader import SequenceReader
@@ -113,7 +114,7 @@ def run_into(
     fit = calibration.odometry if config.fitted_odometry else None
     frames = reader if fit is None else RestatedSequence(reader, fit.restated)
     frames = _with_visual_odometry(frames, observation.description, config)
-    frames = _with_inertial(frames, reading, verticals)
+    frames = _with_inertial(frames, reading, usual_up=verticals.usual_up)
     bias = VisualOdometry.bias if frames.odometry_origin == "visual" else None if fit is None else fit.odometry_bias
     if bias is not None:
         config = replace(config, localizer=replace(config.localizer, odometry_bias=bias))
@@ -205,21 +206,23 @@ def _with_visual_odometry(frames: FrameSource, model: ModelDescription, config: 
     )
 
 
-def _with_inertial(frames: FrameSource, reading: SequenceOptions, verticals: Verticals) -> FrameSource:
+def _with_inertial(frames: FrameSource, reading: SequenceOptions, *, usual_up: Up | None) -> FrameSource:
     """The sequence with gravity and turns of an inertial unit and with rides in lifts, where its recording has them.
 
     Args:
         frames: The sequence.
         reading: Its topics.
-        verticals: Which way is up for a robot.
+        usual_up: Which way is up for a robot.
     """
     if is_image_sequence(frames.path):
         return frames
     localized = replace(reading, image_topic=frames.resolved["image_topic"].split(",")[0])
     samples, notices = read_inertial(frames.path, localized)
-    in_metres = frames.odometry_origin != "visual"
-    rides, of_pressure = read_rides(frames.path, reading) if in_metres else ([], [])
-    return InertialSequence(frames, samples, [*notices, *of_pressure], rides=rides, usual_up=verticals.usual_up)
+    if frames.odometry_origin in ("recorded", "both"):
+        rides, of_pressure = read_rides(frames.path, reading)
+    else:
+        rides, of_pressure = [], [without_metres(reading.pressure_topic)] if reading.pressure_topic else []
+    return InertialSequence(frames, samples, [*notices, *of_pressure], rides=rides, usual_up=usual_up)
 
 
 def _about_odometry(frames: FrameSource, config: RunConfig) -> list[str]:

@@ -112,7 +112,7 @@ class Health:
             if reason not in _USUAL
         }
         told = [notice for lens in reader.lenses.values() for notice in lens.notices]
-        told += [*reader.sensors.notices, *belief.verticals.notices, *belief.frames.notices]
+        told += [*reader.notices, *reader.sensors.notices, *belief.verticals.notices, *belief.frames.notices]
         notices |= {_NUMBER.sub("0", notice): notice for notice in told}  # other figures are no news
         now_s = time.monotonic()
         for name in reader.lenses if len(reader.lenses) > 1 and now_s - self._image_s < _SILENT_S else ():

@@ -180,7 +180,8 @@ class StreamLocalizer:
 
         Args:
             time_ns: When it ended, integer nanoseconds.
-            odometry: The motion, of the base; a covariance of zeros is an unknown one.
+            odometry: The motion, of the base; a covariance of zeros is an unknown one. Over an `Odometry.turn` the
+                rotation alone is known.
 
         Raises:
             VaporTrackError: as `add_odometry`.

@@ -112,6 +112,17 @@ def test_odometry_that_moves_or_is_unknown_and_a_camera_of_unknown_tilt_stay():
     assert not again.notices
 
 
+def test_after_a_clock_was_set_back_rides_of_the_new_time_count_and_those_of_the_old_one_do_not():
+    lifts, set_back_s = LiftRides(rides_in(*heights(ride))), 3600.0
+    for i in range(600):
+        added(lifts, set_back_s + i / 10, set_back_s + (i + 1) / 10, still())
+    rises_m = -added(lifts, 21.0, 21.1, still()).previous_from_current.translation[1]
+    assert rises_m == 0.0  # before rides of the new time are known
+    lifts.extend(rides_in(*heights(ride)))
+    rises_m = -added(lifts, 21.1, 21.2, still()).previous_from_current.translation[1]
+    assert rises_m == pytest.approx(0.1, abs=0.03)
+
+
 @pytest.mark.parametrize("hz", [3.0, 10.0, 30.0])
 def test_odometry_that_trembles_stands_at_any_rate(hz):
     lifts, rng = LiftRides(rides_in(*heights(ride))), RNG(0)

@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from filtering.config import LocalizerConfig
+from filtering.config import GapConfig, LocalizerConfig
 from filtering.hindsight import FilterStep
 from filtering.kalman import KalmanConfig, KalmanLocalizer
 from filtering.localizer import ParticleLocalizer
@@ -13,7 +13,7 @@ from filtering.motion import Odometry, joined, measured
 from filtering.observation import Observation
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
-from filtering.smoothing import smooth
+from filtering.smoothing import SmoothingConfig, smooth
 from sequences.inertial.gyroscope import GyroscopeFusion
 from sequences.inertial.samples import InertialSamples
 from sequences.inertial.simulation import InertialNoise, simulate_inertial
@@ -114,6 +114,22 @@ def test_hindsight_turns_along():
     assert off_deg(best.poses[-1], truth) < 3.0
     assert off_deg(best.poses[BEFORE], turning()[1][BEFORE]) < 3.0
     assert np.degrees(np.sqrt(best.covariance[-1, 4, 4])) < 5.0
+
+
+def test_hindsight_allows_for_the_speed_of_a_gap_where_the_turn_is_known():
+    """A fast camera whose odometry drops out was not carried off."""
+    config, pose, steps = LocalizerConfig(gap=GapConfig(speed_m_per_s=20.0)), Poses.identity(), []
+    localizer, rng = ParticleLocalizer(None, config, rng=RNG(0)), RNG(1)
+    for i in range(30):
+        moved = Poses.exp(np.array([0, 0, 20.0 if i == 15 else 0.1, 0, 0.02, 0]))
+        known = Odometry(moved, 1e-6 * np.eye(6), 0.1) if i != 15 else Odometry.turn(moved, 1e-6 * np.eye(3), 1.0)
+        pose = pose @ moved if i else pose
+        seen = seen_at(pose @ Poses.exp(0.3 * STD * rng.standard_normal(6)))
+        observation = Observation.of_posterior(seen, known if i else None, 0.1)
+        steps.append(FilterStep.of(observation, localizer.advance(observation)))
+    hindsight = smooth(steps, ERRORS, SmoothingConfig.of_filter(config))
+    assert not hindsight.carried_off.any()
+    assert hindsight.best.poses[-1].distance(pose)[0] < 0.1
 
 
 def test_the_kalman_baseline_turns_along():

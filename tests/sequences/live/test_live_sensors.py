@@ -13,7 +13,9 @@ from sequences.inertial.topics import read_inertial
 from sequences.live.frames import LiveFrames
 from sequences.options import ReadingOptions, SequenceOptions
 from sequences.reader import SequenceReader
-from sequences.recordings.source import RawMessage
+from sequences.recordings.message_definitions import encoder
+from sequences.recordings.source import TF_STATIC, RawMessage
+from tests.helpers import tf_files
 from tests.helpers.fake_transport import messages_of, offering
 from tests.helpers.inertial_files import GRAVITY, IMU, inertial_messages, with_messages, without_orientation
 from tests.helpers.live_reading import SECOND, Robot, at_ms, stamp_of, stamped
@@ -145,6 +147,21 @@ def test_a_units_clock_that_is_set_begins_the_unit_anew_and_nothing_else(by_s: i
     assert not any([*without[1:10], *without[23:]])
 
 
+@pytest.mark.parametrize("by_s", [-5, 0, 40])
+def test_a_unit_by_another_clock_than_the_images_is_told(by_s: int, said: list[RawMessage]) -> None:
+    robot = sensing([stamped(raw, stamp_of(raw) + by_s * SECOND) if raw.topic == IMU else raw for raw in said])
+    for _ in range(2):  # more frames than in this walk
+        for _, frame in robot.frames:
+            robot.reader.sensors.seen(frame, None)
+    told = [notice for notice in robot.reader.sensors.notices if "stamps" in notice]
+    assert len(told) == (by_s != 0)
+    assert all(f"{IMU}: its stamps are {by_s:+d}." in notice or "-4.9 s" in notice for notice in told)
+    robot.reader.sensors._came_s[IMU] -= 100.0
+    silent = robot.reader.sensors.notices
+    assert any("no message on" in notice for notice in silent)
+    assert not any("stamps" in notice for notice in silent)
+
+
 def test_a_clock_of_all_that_is_set_leaves_the_bias(said: list[RawMessage]) -> None:
     shifted = [
         stamped(raw, stamp_of(raw) - 5 * SECOND) if "tf" not in raw.topic and at_ms(raw) > 1000 else raw for raw in said
@@ -170,6 +187,26 @@ def test_a_unit_that_comes_later_or_leaves_and_comes_back_is_used(said: list[Raw
     known = {at: frame.gravity is not None for at, (_, frame) in zip(robot.times_ms, robot.frames, strict=True)}
     assert not any(known[at] for at in (0, 300, 500, 1700, 2000, 2100))
     assert all(known[at] for at in (1000, 1200, 1400, 2500, 2900))
+
+
+@pytest.mark.parametrize("late", [IMU, TF_STATIC])
+def test_a_unit_that_speaks_late_or_is_linked_late_is_used_from_then_on(late: str, tmp_path: Path) -> None:
+    messages = inertial_messages(seconds=3.1, frame="imu_link")
+    path = with_messages(
+        Walk(30).write(tmp_path / "plain.mcap"), tmp_path / "imu.mcap", IMU, "sensor_msgs/Imu", messages
+    )
+    said = messages_of(path)
+    (event,) = tf_files.mounted("base_link", "imu_link")
+    link = RawMessage(TF_STATIC, BEGIN_NS, encoder(event.type)(event.message), event.type, "cdr", b"")
+    robot = Robot(offering(said), made=LiveFrames)
+    robot.live_through([raw for raw in said if (at_ms(raw) < 500 and raw.topic != late) or raw.topic == TF_STATIC])
+    robot.live_through([link] if late == IMU else [])
+    for _ in range(6):  # half a minute
+        robot.reader.sensors.look_again(changed=robot.heard.refresh())
+    assert robot.reader.sensors.names == []
+    robot.live_through([link] if late == TF_STATIC else [raw for raw in said if 500 < at_ms(raw) < 600])
+    robot.reader.sensors.look_again(changed=robot.heard.refresh())
+    assert robot.reader.sensors.names == [IMU]
 
 
 def test_units_are_chosen_as_of_a_recording(walk: Path, tmp_path: Path) -> None:

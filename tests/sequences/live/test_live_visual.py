@@ -1,5 +1,6 @@
 """Odometry that images of a running system show: alone, beside what is published, and where there is none."""
 
+from collections import Counter
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -11,12 +12,13 @@ from filtering.motion import Odometry
 from sequences.frame import Frame
 from sequences.live.frames import LiveFrames
 from sequences.live.reader import LiveReader
+from sequences.options import ReadingOptions
 from sequences.reader import SequenceReader
 from sequences.reading.counts import BETWEEN, OVERTAKEN
 from sequences.recordings.source import TF_STATIC, RawMessage
 from sequences.visual_odometry.frames import TRACKED_HZ, VisualFrames
 from sequences.visual_odometry.sequence import VisualSequence
-from sequences.writer import SequenceWriter
+from sequences.writer import MountedCamera, SequenceWriter
 from tests.helpers.boards import CAMERA, STEP_NS, images_of, walk
 from tests.helpers.fake_transport import messages_of, offering
 from tests.helpers.live_reading import SECOND, Robot, at_ms, stamp_of, stamped
@@ -146,6 +148,26 @@ def test_an_image_that_comes_late_is_left_out_as_features_are_tracked_in_order(w
     assert robot.reader.counts.are_complete
 
 
+@pytest.mark.parametrize("slow", ["/camera/image/compressed", "/left/image/compressed"])
+def test_of_two_cameras_one_may_come_later_than_the_other(slow: str, tmp_path: Path) -> None:
+    left = {"left": MountedCamera(CAMERA, BASE_FROM_CAMERA)}
+    with SequenceWriter(tmp_path / "two.mcap", camera=CAMERA, base_from_camera=BASE_FROM_CAMERA, others=left) as writer:
+        for i, image in enumerate(IMAGES[::2]):
+            data = cv2.imencode(".png", image)[1].tobytes()
+            writer.write_encoded_image(BEGIN_NS + 2 * STEP_NS * i, data, "png")
+            writer.write_encoded_image(BEGIN_NS + 2 * STEP_NS * i + STEP_NS, data, "png", "left")
+    raws = messages_of(tmp_path / "two.mcap")
+    raws = [raw._replace(log_time_ns=raw.log_time_ns + 50 * MS * (raw.topic == slow)) for raw in raws]
+    raws = sorted(raws, key=lambda raw: raw.log_time_ns)
+    options = ReadingOptions(image_topic="/camera/image/compressed,/left/image/compressed")
+    robot = Robot(offering(raws), options, odometry="ignored", made=seen)
+    robot.live_through(raws)
+    frames = [frame for _, frame in robot.frames]
+    assert Counter(frame.camera_name for frame in frames).most_common()[-1][1] >= 28  # of thirty
+    assert sum(frame.odometry is not None for frame in frames) > 50
+    assert "time stamp not increasing" not in robot.reader.counts.skipped
+
+
 class Given:
     """A reader of frames at hand."""
 
@@ -214,3 +236,15 @@ def test_odometry_that_is_to_be_ignored_is_not_waited_for(wait: Wait) -> None:
     reader = wait.open(odometry="ignored")
     assert not reader.has_odometry
     assert wait.now_s < 3
+
+
+def test_odometry_that_comes_after_the_start_is_told(wait: Wait) -> None:
+    topics = {raw.topic for raw in wait.raws}
+    wait.offer(*topics)
+    wait.changes = [(2.0, lambda: wait.say(*topics))]
+    reader = wait.open(odometry="ignored")
+    assert reader.notices == []
+    wait.transport.offer("/odom", "nav_msgs/Odometry")
+    reader.heard.refresh()
+    (told,) = reader.notices
+    assert told.startswith("/odom came after the start")

@@ -140,11 +140,13 @@ def test_other_cameras_do_not_wait_for_one_that_fell_silent():
 
     for beside in (False, True):
         waited = most = 0
-        found = []
+        found, waits = [], []
         for frame in VisualSequence(Counted(frames), CAMERA, beside=beside):
+            waits.append(waited)
             waited = 0
             found.append(frame)
         assert most * STEP_NS * 1e-9 < 1.2
+        assert waits[100:] == [1] * 100  # once it is silent, each comes at once
         assert len(found) == 200
         known = sum(frame.odometry is not None for frame in found)
         assert known > 150 if beside else known < 5

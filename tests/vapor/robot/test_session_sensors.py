@@ -25,6 +25,7 @@ from tests.helpers.sequence_files import BEGIN_NS, ODOMETRY, Walk, world_from_ba
 from tests.helpers.simulation import RNG
 from vapor.pipeline.config import RunConfig
 from vapor.pipeline.model import load_model
+from vapor.pipeline.run import _with_inertial
 from vapor.pipeline.run import run as run_recording
 from vapor.robot.config import LiveConfig
 from vapor.track import main
@@ -106,6 +107,20 @@ def test_a_ride_in_a_lift_is_part_of_the_motion(tmp_path: Path) -> None:
         if frame.odometry is not None and frame.gravity is not None:
             risen += float(frame.odometry.previous_from_current.translation @ np.array(frame.gravity.up))
     assert risen == pytest.approx(3.0, abs=0.35)
+
+
+@pytest.mark.parametrize(("odometry", "told"), [("required", False), ("ignored", True)])
+def test_a_barometer_without_published_odometry_is_told_to_be_of_no_use(odometry, told: bool, tmp_path: Path) -> None:
+    stamps = [BEGIN_NS + 50_000_000 * n for n in range(20)]
+    messages = [(t, {"header": ros_header(t, "base_link"), "fluid_pressure": 101_325.0}) for t in stamps]
+    walk = inertial_walk(tmp_path)
+    path = with_messages(walk, tmp_path / "both.mcap", "/pressure", "sensor_msgs/FluidPressure", messages)
+    robot = Robot(offering(messages_of(path)), made=LiveFrames, odometry=odometry)
+    robot.live_through(messages_of(path))
+    assert any("/pressure is not used" in notice for notice in robot.reader.sensors.notices) == told
+    named = SequenceOptions(pressure_topic="/pressure")
+    frames = _with_inertial(SequenceReader(path, named, odometry=odometry), named, usual_up=None)
+    assert any("/pressure is not used" in notice for notice in frames.notices) == told
 
 
 def test_the_same_as_of_a_run_of_the_recording(tmp_path: Path) -> None:

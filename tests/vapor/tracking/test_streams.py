@@ -182,6 +182,27 @@ def test_across_a_lost_increment_the_motion_is_unknown_and_an_overlapping_one_is
     assert stream.skipped == {"an increment overlaps the one before": 1}
 
 
+def test_increments_that_know_the_rotation_alone_leave_the_way_unknown_and_turn_the_camera():
+    turning = np.array([0, 0, 0, 0, 0, 0.02])
+    stream = new_stream()
+    by_time = run(stream, [image_event(0)[1]])
+    for number in range(50):
+        time_ns = BEGIN_NS + 20_000_000 * (number + 1)
+        turned = Odometry.turn(Poses.exp(turning), 1e-8 * np.eye(3), 0.02)
+        if not 20 <= number < 30:  # of two images
+            turned = Odometry(Poses.exp(turning), 1e-8 * np.eye(6), 0.02)
+        by_time += stream.add_increment(time_ns, turned)
+        if number % 5 == 4:
+            nothing = Observation.of_posterior(PosePosterior.uninformative(ERRORS), None, time_ns=time_ns)
+            by_time += stream.add_observation(nothing)
+    unknown = [i for i, each in enumerate(by_time) if each.estimate.gap_motion is not None]
+    assert unknown == [5, 6]
+    first, last = by_time[0].map_from_base, by_time[-1].map_from_base
+    np.testing.assert_allclose(first.between(last).log()[3:], [0, 0, 1.0], atol=1e-6)
+    stds = [float(np.sqrt(np.trace(each.estimate.modes[0].covariance[:3, :3]))) for each in by_time]
+    assert stds[6] > 3.0 * stds[4]
+
+
 def test_across_a_jump_of_the_odometry_and_a_time_without_any_the_motion_is_unknown():
     leap = Poses.exp(np.array([3.0, 0, 0, 0, 0, 0]))
     odometry = [(t, leap @ pose if t > TIMES_NS[4] + 50_000_000 else pose) for t, pose in ODOMETRY]
