@@ -312,6 +312,7 @@ class VisualOdometry:
         )
         self._key_frames = tuple(replace(each, pose=_scaled(each.pose, times)) for each in self._key_frames)
         self._pose, self._motion = _scaled(self._pose, times), _scaled(self._motion, times)
+        self._usual /= times
 
     def _adjust(self) -> None:
         before = self._pose
