@@ -90,7 +90,7 @@ class StreamLocalizer:
         skipped: How many images and messages of odometry were left out, by reason.
 
     Raises:
-        VaporTrackError: `wait_s` is not from 0 to 60.
+        VaporTrackError: `wait_s` is not from 0 to 60, or `base_from_camera` is not one finite pose.
 
     Example:
         >>> import numpy as np
