@@ -11,7 +11,7 @@ SCENES := staircase ceiling
 WALKS := $(foreach seed,$(shell seq 0 15),$(DATA)/%-$(seed).mcap)
 HELD_OUT := $(foreach seed,100 101 102 103,$(DATA)/%-held-out-$(seed).mcap)
 
-.PHONY: demo live-demo test ros check docs docs-links fuzz measurements models clean
+.PHONY: demo live-demo test ros check docs docs-links fuzz gpu measurements models clean
 
 demo: $(INSTALLED)
 	$(BIN)/vapor-track demo
@@ -44,6 +44,11 @@ docs-links: $(INSTALLED)
 SECONDS ?= 600
 fuzz: $(INSTALLED)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.fuzz --seconds $(SECONDS) $(FUZZ)
+
+# What a GPU gives, in six minutes at most; without one, `make gpu GPU="--device cpu --tiny"` shows that everything runs.
+gpu: $(INSTALLED)
+	mkdir -p build
+	$(BIN)/vapor-benchmark gpu --output build/gpu.json $(GPU)
 
 # What docs/measurements.md has and this has not measured yet, or with `make measurements ONLY="real step"` these with the
 # code as it is; what is interrupted goes on. `ONLY=--list` prints the names, with how long each takes, and `ONLY=--page` makes the page.

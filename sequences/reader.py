@@ -45,8 +45,8 @@ class SequenceReader:
         >>> sequence = vapor.SequenceReader("walk.mcap")
         >>> for frame in sequence:
         ...     image, odometry, truth = frame.image, frame.odometry, frame.world_from_camera
-        >>> sequence.num_images, sequence.has_odometry, sequence.base_from_camera.batch_shape
-        (25, True, ())
+        >>> sequence.num_images, sequence.odometry_origin, sequence.base_from_camera.batch_shape
+        (25, 'recorded', ())
     """
 
     def __init__(

@@ -18,6 +18,7 @@ COMMANDS = {
     "live": "measure `vapor-track live`: time from images and odometry to poses, memory, processor time",
     "live-faults": "let faults happen to a robot that `vapor-track live` follows",
     "regressors": "train every method on every scene, and measure recall, errors and densities",
+    "gpu": "measure a GPU in a few minutes: the same results as on the processor, and times",
 }
 """Name -> description; each is a module of `vapor.benchmark.commands`, imported only when it is called."""
 

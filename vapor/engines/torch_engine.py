@@ -41,7 +41,7 @@ class TorchEngine:
         # Channels-last convolutions take about two thirds of the time here.
         self._network = whole.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
         self.noise_dim: int = whole.network.noise_dim
-        self._recorded: dict[tuple[int, ...], _Recorded] = {}
+        self._recorded: dict[tuple[int, ...], Recorded] = {}
 
     @property
     def device(self) -> str:
@@ -61,17 +61,19 @@ class TorchEngine:
         shape = tuple(noise.shape)
         if shape not in self._recorded:
             inputs = image.to(self._device), noise.to(self._device)
-            self._recorded = {shape: _Recorded(self._network, inputs, self._autocast)}
+            self._recorded = {shape: Recorded(self._network, inputs, self._autocast)}
         return self._recorded[shape](image, noise)
 
     def _autocast(self) -> AbstractContextManager[object]:
         return torch.autocast("cuda", torch.bfloat16) if self._precision == "bfloat16" else nullcontext()
 
 
-class _Recorded:
-    """A network's kernels for inputs of one size, as a CUDA graph."""
+class Recorded:
+    """A network's kernels for images and noise of one size, as a CUDA graph; each call overwrites the last outputs."""
 
-    def __init__(self, network: WholeNetwork, inputs: tuple[Tensor, Tensor], autocast: _Autocast) -> None:
+    def __init__(
+        self, network: Callable[..., tuple[Tensor, ...]], inputs: tuple[Tensor, Tensor], autocast: _Autocast
+    ) -> None:
         self._inputs = inputs
         self._graph = torch.cuda.CUDAGraph()
         stream = torch.cuda.Stream()
@@ -81,9 +83,10 @@ class _Recorded:
                 network(*inputs)
         torch.cuda.current_stream().wait_stream(stream)
         with torch.cuda.graph(self._graph), autocast():
-            self._outputs: tuple[Tensor, ...] = network(*inputs)
+            self._outputs = network(*inputs)
 
     def __call__(self, image: Tensor, noise: Tensor) -> tuple[Tensor, ...]:
+        """The network's outputs for other inputs, from this device or another."""
         for own, given in zip(self._inputs, (image, noise), strict=True):
             own.copy_(given)
         self._graph.replay()

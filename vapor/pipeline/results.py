@@ -50,6 +50,14 @@ class RunResult:
         return None if self.record.images is None else self.record.images.warning
 
 
+def _version(package: str) -> str | None:
+    """None where it is not installed, as a run needs no viewer, and a checkout may just be on the path."""
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+
+
 def write_results(
     record: RunRecord,
     directory: Path,
@@ -67,7 +75,7 @@ def write_results(
     if record.truth is not None:
         write_tum(directory / "ground_truth.tum", record.truth)
     write_status(directory / "status.csv", record)
-    versions = {"python": platform.python_version()} | {name: importlib.metadata.version(name) for name in _PACKAGES}
+    versions = {"python": platform.python_version()} | {name: _version(name) for name in _PACKAGES}
     settings = settings | {"versions": versions}
     with atomic_output(directory / "config.json") as partial:
         partial.write_text(json.dumps(settings, indent=2) + "\n", encoding="utf-8")
