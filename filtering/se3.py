@@ -306,7 +306,7 @@ def _numbers(name: str, values: ArrayLike, shape: tuple[int, ...]) -> np.ndarray
         raise VaporTrackError(f"{name} is {quoted(values)}, expected numbers of one shape") from error
     _require_shape(name, array, shape)
     finite = np.isfinite(array).all(axis=tuple(range(-len(shape), 0)))
-    _require(name, np.asarray(finite), array, "finite numbers")
+    _require(name, np.asarray(finite), array, "finite numbers", fault="not finite: ")
     return array
 
 
@@ -320,9 +320,9 @@ def _require_shape(name: str, array: np.ndarray, shape: tuple[int, ...], batch: 
         raise VaporTrackError(f"{name} has shape {array.shape}, expected ({expected}{comma})")
 
 
-def _require(name: str, good: np.ndarray, values: np.ndarray, expected: str) -> None:
+def _require(name: str, good: np.ndarray, values: np.ndarray, expected: str, fault: str = "") -> None:
     """Raise where a pose of the batch is not good, and name the first one."""
     if not good.all():
         at = tuple(np.argwhere(~good)[0].tolist())
         where = f"{name} {', '.join(map(str, at))}" if at else name
-        raise VaporTrackError(f"{where} is {quoted(values[at].tolist())}, expected {expected}")
+        raise VaporTrackError(f"{where} is {fault}{quoted(values[at].tolist())}, expected {expected}")

@@ -155,7 +155,7 @@ def test_mean_respects_weights():
 
 BAD_QUATERNIONS = {
     r"quaternion xyzw is \[0.*\], expected a unit quaternion": [0.0, 0, 0, 0],
-    r"quaternion xyzw is \[nan.*\], expected finite numbers": [np.nan, 0, 0, 1],
+    r"quaternion xyzw is not finite: \[nan.*\], expected finite numbers": [np.nan, 0, 0, 1],
     r"quaternion xyzw has shape \(\), expected \(\*batch, 4\)": 5,
     "quaternion xyzw is .*, expected numbers of one shape": [[0, 0, 0, 1], [1]],
 }

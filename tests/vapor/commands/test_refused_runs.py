@@ -85,7 +85,7 @@ def test_a_transform_that_is_not_finite_is_named(tiny_model, earlier, capsys, mo
     walk = Walk(5)
     monkeypatch.setattr(sequence_files, "BASE_FROM_CAMERA", NOWHERE)
     path = walk.write(earlier.parent / "walk.mcap")
-    said = ["no transform from 'base_link'", "transform base_link -> camera_optical_frame: translation is ["]
+    said = ["no transform from 'base_link'", "transform base_link -> camera_optical_frame: translation is not finite"]
     refuse_run(path, tiny_model, earlier, capsys, path.name, *said)
 
 
@@ -98,7 +98,7 @@ def test_a_pose_that_is_not_finite_is_left_out_and_named_with_topic_and_time(
     getattr(walk, stream)[5] = (time_ns, NOWHERE)
     path = walk.write(earlier.parent / "walk.mcap")
     assert main(words_of_run(path, tiny_model, earlier.parent / "new")) == 0
-    said = rf"1 of \d+ .* left out, the first: .*{topic} at {time_ns} ns: .*expected finite numbers"
+    said = rf"1 of \d+ .* left out, the first: .*{topic} at {time_ns} ns: .*not finite"
     assert re.search(said, " ".join(capsys.readouterr().out.split()))
 
 
