@@ -1,6 +1,6 @@
 # vapor-track in a container, for processors: `docker build --tag vapor-track .`, then
 # `docker run --rm --volume "$PWD:/data" vapor-track run walk.mcap --model place.safetensors --output result`.
-# CONTRIBUTING.md says how to give pip the index of torch's CPU builds: without it the image has libraries for GPUs, too.
+# docs/install.md says how to give pip the index of torch's CPU builds: without it the image has libraries for GPUs, too.
 FROM python:3.13-slim AS build
 WORKDIR /source
 COPY . .

@@ -19,7 +19,7 @@ from filtering.measurement_noise import MeasurementNoise
 from filtering.motion import Odometry
 from filtering.observation import ONLY_CAMERA, Observation, View
 from filtering.posterior import ObservationModel, PosePosterior
-from filtering.se3 import Poses
+from filtering.se3 import Poses, require_one_pose
 from filtering.step import describe, hypotheses_of, initialize, step
 
 
@@ -191,6 +191,7 @@ class ParticleLocalizer:
         Raises:
             VaporTrackError: the pose, its covariance or the time is invalid. The localizer is then as it was before.
         """
+        require_one_pose("world_from_camera", world_from_camera)
         pose = Poses.stack([world_from_camera])
         stated = PosePosterior(pose, np.asarray(covariance, np.float64)[None], np.ones(1), noise, pose)
         begun = initialize(

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from filtering.errors import VaporTrackError, require_within
-from filtering.se3 import Poses
+from filtering.se3 import Poses, require_one_pose
 
 _LEAST_SCALE = 0.1
 _WALK_M_PER_S = 1.5  # along each axis, of a motion of which the rotation alone is known
@@ -172,10 +172,7 @@ def require_odometry(odometry: Odometry) -> None:
 
 def _require_motion(odometry: Odometry) -> None:
     motion = odometry.previous_from_current
-    if motion.batch_shape != ():
-        raise VaporTrackError(f"odometry increment has batch shape {motion.batch_shape}, expected (): one pose")
-    if not (np.isfinite(motion.rotation).all() and np.isfinite(motion.translation).all()):
-        raise VaporTrackError(f"odometry increment is not finite: {motion.as_matrix()[:3].tolist()}")
+    require_one_pose("odometry increment", motion)
     rotation = motion.rotation
     if np.abs(rotation @ rotation.T - np.eye(3)).max() > _RIGID or np.linalg.det(rotation) < 0:
         raise VaporTrackError(

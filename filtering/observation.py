@@ -10,7 +10,7 @@ import numpy as np
 from filtering.errors import VaporTrackError, quoted
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
-from filtering.se3 import Poses
+from filtering.se3 import Poses, require_one_pose
 from filtering.vertical import Vertical
 
 ONLY_CAMERA = "camera"
@@ -27,6 +27,9 @@ class View:
         reference_from_camera: Its extrinsics: from the camera to the frame that is localized, one pose.
         camera: Its name; errors are correlated among the images of one camera only.
 
+    Raises:
+        VaporTrackError: the posterior is none, or the extrinsics are not one finite pose.
+
     Example:
         >>> import numpy as np
         >>> import vapor
@@ -42,6 +45,13 @@ class View:
     posterior: PosePosterior
     reference_from_camera: Poses
     camera: str
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.posterior, PosePosterior):
+            raise VaporTrackError(
+                f"camera {quoted(self.camera)}: posterior is {quoted(self.posterior)}, expected a PosePosterior"
+            )
+        require_one_pose(f"reference_from_camera of camera {self.camera!r}", self.reference_from_camera)
 
     @property
     def rank(self) -> tuple[float | bytes, ...]:

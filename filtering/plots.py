@@ -89,18 +89,27 @@ class Plan:
     def truth(self, poses: Poses) -> None:
         """Draw a true pose, or a true path (n,)."""
         if poses.batch_shape:
-            self.path(poses.translation, TRUTH, "true path")
+            self.path(poses.translation, TRUTH, "true path", below=True)
             return
         x, y = poses.translation[list(self.plane)]
         self.axes.plot(x, y, "x", color=TRUTH, markersize=8, markeredgewidth=2, label="true pose", zorder=5)
         self._camera(poses, TRUTH, 5.0)
 
-    def path(self, positions: Float64[np.ndarray, "n 3"], color: str, label: str, *, dotted: bool = False) -> None:
-        """Draw positions one after the other, a line that is broken at NaN, or dots."""
+    def path(
+        self,
+        positions: Float64[np.ndarray, "n 3"],
+        color: str,
+        label: str,
+        *,
+        dotted: bool = False,
+        below: bool = False,
+    ) -> None:
+        """Draw positions one after the other, a line that is broken at NaN, or dots; one below others is wider."""
         x, y = positions[:, self.plane].T
         line, marker = ("", ".") if dotted else ("-", "")
+        width, zorder = (3.0, 2.5) if below else (1.4, 3.0)
         self.axes.plot(
-            x, y, color=color, label=label, zorder=3, linestyle=line, marker=marker, markersize=3, linewidth=1.4
+            x, y, color=color, label=label, zorder=zorder, linestyle=line, marker=marker, markersize=3, linewidth=width
         )
 
     def finish(self, title: str = "") -> Axes:

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
 _NO_ROTATION, _ROUNDING = 0.01, 1e-12  # of RRᵀ − I: beyond, other numbers; below, that of double precision
+_NO_LENGTH = 1e-6  # of a quaternion
 
 
 @dataclass(frozen=True)
@@ -111,21 +112,24 @@ class Poses:
         Raises:
             VaporTrackError: other shapes, a value that is not finite, or a quaternion without length.
         """
-        translation, quat_xyzw = np.asarray(translation, np.float64), np.asarray(quat_xyzw, np.float64)
-        norm = np.linalg.norm(quat_xyzw, axis=-1)
-        if not (np.isfinite(translation).all() and np.isfinite(quat_xyzw).all()):
-            raise VaporTrackError(
-                f"pose is not finite: translation {translation.tolist()}, quaternion xyzw {quat_xyzw.tolist()}"
-            )
-        if (norm < 1e-6).any():
-            raise VaporTrackError(f"quaternion xyzw {quat_xyzw.tolist()} has zero length, expected a unit quaternion")
-        _require_shape("quaternion xyzw", quat_xyzw, (4,))
+        quat_xyzw, translation = (
+            _numbers("quaternion xyzw", quat_xyzw, (4,)),
+            _numbers("translation", translation, (3,)),
+        )
         _require_shape("translation", translation, (3,), quat_xyzw.shape[:-1])
+        norm = np.linalg.norm(quat_xyzw, axis=-1)
+        _require("quaternion xyzw", np.asarray(norm >= _NO_LENGTH), quat_xyzw, "a unit quaternion")
         return Poses(rotation_from_quat_xyzw(quat_xyzw / norm[..., None]), translation.copy())
 
     @staticmethod
-    def exp(tangent: Float64[np.ndarray, "*batch 6"]) -> Poses:
-        """Exponential map of tangent vectors (v, ω)."""
+    def exp(tangent: ArrayLike) -> Poses:
+        """Exponential map of tangent vectors (v, ω), (*batch, 6), an array or lists.
+
+        Raises:
+            VaporTrackError: another shape.
+        """
+        tangent = np.asarray(tangent, np.float64)
+        _require_shape("tangent", tangent, (6,))
         v, omega = tangent[..., :3], tangent[..., 3:]
         a, b, c = exp_coefficients(dot(omega, omega))
         translation = a * v + b * cross(omega, v) + c * dot(omega, v) * omega
@@ -213,9 +217,9 @@ class Poses:
         offset = other.translation - self.translation
         return Poses(transposed @ other.rotation, (transposed @ offset[..., None])[..., 0])
 
-    def apply(self, points: Float64[np.ndarray, "*batch_or_n 3"]) -> Float64[np.ndarray, "..."]:
+    def apply(self, points: ArrayLike) -> Float64[np.ndarray, "..."]:
         """Map points (..., 3) in frame b to frame a; the batch broadcasts against the leading axes."""
-        return (self.rotation @ points[..., None])[..., 0] + self.translation
+        return (self.rotation @ np.asarray(points, np.float64)[..., None])[..., 0] + self.translation
 
     def log(self) -> Float64[np.ndarray, "*batch 6"]:
         """Tangent vectors (v, ω), with |ω| ≤ π; the inverse of `exp`."""
@@ -278,12 +282,31 @@ class Poses:
         return Poses(nearest_rotation(mean_matrix), fraction @ self.translation)
 
 
+def require_one_pose(name: str, pose: Poses) -> None:
+    """Check a single pose, such as extrinsics.
+
+    Raises:
+        VaporTrackError: it is something else, a batch, or not finite.
+    """
+    if not isinstance(pose, Poses):
+        raise VaporTrackError(
+            f"{name} is of type {type(pose).__name__}, expected Poses, such as Poses.from_matrix(...)"
+        )
+    if pose.batch_shape != ():
+        raise VaporTrackError(f"{name} has batch shape {pose.batch_shape}, expected (): one pose")
+    if not pose.is_finite():
+        raise VaporTrackError(f"{name} is not finite: {pose.as_matrix()[:3].tolist()}")
+
+
 def _numbers(name: str, values: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
     """Finite numbers whose last axes have a shape."""
-    array = np.asarray(values, np.float64)
+    try:
+        array = np.asarray(values, np.float64)
+    except (TypeError, ValueError) as error:
+        raise VaporTrackError(f"{name} is {quoted(values)}, expected numbers of one shape") from error
     _require_shape(name, array, shape)
     finite = np.isfinite(array).all(axis=tuple(range(-len(shape), 0)))
-    _require(name, np.asarray(finite), array, "finite numbers")
+    _require(name, np.asarray(finite), array, "finite numbers", fault="not finite: ")
     return array
 
 
@@ -293,12 +316,13 @@ def _require_shape(name: str, array: np.ndarray, shape: tuple[int, ...], batch: 
     if array.shape[max(split, 0) :] != shape or (batch is not None and array.shape[:split] != batch):
         of_batch = "*batch" if batch is None else ", ".join(map(str, batch))
         expected = ", ".join(filter(None, [of_batch, *map(str, shape)]))
-        raise VaporTrackError(f"{name} has shape {array.shape}, expected ({expected})")
+        comma = "" if ", " in expected else ","
+        raise VaporTrackError(f"{name} has shape {array.shape}, expected ({expected}{comma})")
 
 
-def _require(name: str, good: np.ndarray, values: np.ndarray, expected: str) -> None:
+def _require(name: str, good: np.ndarray, values: np.ndarray, expected: str, fault: str = "") -> None:
     """Raise where a pose of the batch is not good, and name the first one."""
     if not good.all():
         at = tuple(np.argwhere(~good)[0].tolist())
         where = f"{name} {', '.join(map(str, at))}" if at else name
-        raise VaporTrackError(f"{where} is {quoted(values[at].tolist())}, expected {expected}")
+        raise VaporTrackError(f"{where} is {fault}{quoted(values[at].tolist())}, expected {expected}")

@@ -118,6 +118,9 @@ class Trajectory:
         times_ns: Stamps in integer nanoseconds, strictly increasing.
         poses: world_from_camera, batch (n,).
 
+    Raises:
+        SequenceError: there are more of the ones than of the others.
+
     Example:
         >>> import numpy as np
         >>> import vapor
@@ -128,6 +131,11 @@ class Trajectory:
 
     times_ns: Int64[np.ndarray, " n"]
     poses: Poses
+
+    def __post_init__(self) -> None:
+        if np.shape(self.times_ns) != self.poses.batch_shape:
+            shapes = f"{np.shape(self.times_ns)} and {self.poses.batch_shape}"
+            raise SequenceError(f"times and poses of a trajectory have shapes {shapes}, expected (n,) both")
 
     def __len__(self) -> int:
         return len(self.times_ns)

@@ -11,7 +11,7 @@ from jaxtyping import Float64
 
 from filtering.errors import VaporTrackError, quoted
 from filtering.motion import Odometry, WhiteNoise, covariance_factor, require_odometry
-from filtering.se3 import Poses
+from filtering.se3 import Poses, require_one_pose
 from sequences.reading.counts import NOT_INCREASING
 from sequences.trajectories.interpolation import MAX_ODOMETRY_GAP_S
 from sequences.trajectories.pose_window import PoseWindow
@@ -32,7 +32,12 @@ class OdometryStream:
     """
 
     def __init__(self, base_from_camera: Poses, motion_noise: WhiteNoise) -> None:
-        """Set up a stream without messages; `motion_noise` is that of odometry without a covariance."""
+        """Set up a stream without messages; `motion_noise` is that of odometry without a covariance.
+
+        Raises:
+            VaporTrackError: the extrinsics are not one finite pose.
+        """
+        require_one_pose("base_from_camera", base_from_camera)
         self._base_from_camera, self._motion_noise = base_from_camera, motion_noise
         self.skipped = Counter[str]()
         self._form: Form | None = None
@@ -50,7 +55,7 @@ class OdometryStream:
             VaporTrackError: it is not one finite pose, as `covariance_factor`, or odometry came in another form.
         """
         self._require_form("poses")
-        _require_pose(odom_from_base)
+        require_one_pose("odometry", odom_from_base)
         self._append("poses", time_ns, odom_from_base, twist_covariance)
 
     def add_velocity(
@@ -103,6 +108,7 @@ class OdometryStream:
     def _append(self, form: Form, time_ns: int, pose: Poses, covariance: Float64[np.ndarray, "6 6"] | None) -> bool:
         """Take a pose of a form; False where it is left out."""
         if covariance is not None:
+            covariance = np.asarray(covariance, np.float64)
             covariance_factor(covariance)
         if self._form is None:
             self._form = form
@@ -154,10 +160,3 @@ class OdometryStream:
 
 def _overlap(spans: Sequence[tuple[int, int]], start_ns: int, end_ns: int) -> bool:
     return any(begin_ns < end_ns and start_ns < over_ns for begin_ns, over_ns in spans)
-
-
-def _require_pose(pose: Poses) -> None:
-    if pose.batch_shape != ():
-        raise VaporTrackError(f"odometry has batch shape {pose.batch_shape}, expected (): one pose")
-    if not pose.is_finite():
-        raise VaporTrackError(f"odometry is not finite: {quoted(pose.as_matrix()[:3].tolist())}")

@@ -198,7 +198,10 @@ def _read_listing(folder: Path) -> _Listing:
         )
     path = folder / "metadata.yaml"
     if not path.is_file():
-        helps = ", or its files one by one (`ros2 bag reindex` writes one)" if _bag_files(folder) else ""
+        if _bag_files(folder):
+            helps = ", or its files one by one (`ros2 bag reindex` writes one)"
+        else:
+            helps = "; `vapor-track convert` makes an .mcap file of a data set"
         raise SequenceError(f"{folder}: folder has no metadata.yaml, expected an .mcap file or a rosbag2 folder{helps}")
     content = read_yaml(path)
     content = content.get("rosbag2_bagfile_information", content)

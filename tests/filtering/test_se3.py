@@ -105,7 +105,7 @@ def test_what_is_no_pose_is_named(message):
 def test_rotations_and_translations_are_as_many():
     with pytest.raises(VaporTrackError, match=r"translation has shape \(3,\), expected \(2, 3\)"):
         Poses.from_rotation([0, 0, 0], Rotation.identity(2))
-    with pytest.raises(VaporTrackError, match=r"translation has shape \(2, 3\), expected \(3\)"):
+    with pytest.raises(VaporTrackError, match=r"translation has shape \(2, 3\), expected \(3,\)"):
         Poses.from_quat_xyzw(np.zeros((2, 3)), [0, 0, 0, 1])
 
 
@@ -153,10 +153,31 @@ def test_mean_respects_weights():
     assert_same(pair.mean(np.array([1.0, 0.0])), pair[0])
 
 
-@pytest.mark.parametrize("quaternion", [[0.0, 0, 0, 0], [np.nan, 0, 0, 1]])
-def test_a_quaternion_that_is_none_is_refused_with_its_value(quaternion):
-    with pytest.raises(VaporTrackError, match="quaternion xyzw"):
-        Poses.from_quat_xyzw(np.zeros(3), np.array(quaternion))
+BAD_QUATERNIONS = {
+    r"quaternion xyzw is \[0.*\], expected a unit quaternion": [0.0, 0, 0, 0],
+    r"quaternion xyzw is not finite: \[nan.*\], expected finite numbers": [np.nan, 0, 0, 1],
+    r"quaternion xyzw has shape \(\), expected \(\*batch, 4\)": 5,
+    "quaternion xyzw is .*, expected numbers of one shape": [[0, 0, 0, 1], [1]],
+}
+
+
+@pytest.mark.parametrize("message", BAD_QUATERNIONS)
+def test_a_quaternion_that_is_none_is_refused_with_its_value(message):
+    with pytest.raises(VaporTrackError, match=message):
+        Poses.from_quat_xyzw(np.zeros(3), BAD_QUATERNIONS[message])
+
+
+def test_of_many_bad_quaternions_the_first_is_named():
+    quaternions = np.tile([0.0, 0, 0, 1], (1000, 1))
+    quaternions[7:] = 0.0
+    with pytest.raises(VaporTrackError, match=r"^quaternion xyzw 7 is \[0\.0, 0\.0, 0\.0, 0\.0\], expected a unit"):
+        Poses.from_quat_xyzw(np.zeros((1000, 3)), quaternions)
+
+
+def test_tangents_are_six_numbers_and_lists_do():
+    assert_same(Poses.exp([[1, 2, 3, 0, 0, 0]]), Poses.from_quat_xyzw([[1, 2, 3]], [[0, 0, 0, 1]]))
+    with pytest.raises(VaporTrackError, match=r"tangent has shape \(5,\), expected \(\*batch, 6\)"):
+        Poses.exp(np.zeros(5))
 
 
 def test_squared_distances_of_all_pairs_are_those_of_each_however_far_from_the_origin():

@@ -15,6 +15,7 @@ _HARDLY = 0.05  # of the images, converged, below which it may be another place
 _AMBIGUOUS = 0.5  # of the smoothed poses
 _TOO_SURE = 0.2  # by which a region may hold less than stated
 _WRONG = 0.05  # of the converged images
+_DOUBTFUL = 0.05  # of the smoothed poses
 
 _OF_NOTICES: tuple[tuple[str, str], ...] = (
     (r"^Only \d+ of \d+ images were used", "Mend the recording, or record again: most of its images are lost."),
@@ -34,9 +35,12 @@ _OF_NOTICES: tuple[tuple[str, str], ...] = (
 )
 """What a notice looks like -> what to do, the most urgent first."""
 _OF_CONVERGED = (
-    (r"^\d+ of \d+ smoothed poses are doubtful", "Check the odometry there: vapor-track inspect, or --odometry both."),
+    (
+        r"^\d+ of \d+ smoothed poses are doubtful",
+        "Check the odometry where images do not fit: vapor-track inspect, or --odometry both.",
+    ),
 )
-"""The same of a run that is mostly converged: elsewhere it is the place that is in doubt."""
+"""The same of a run that is mostly converged, with more than a few such poses: elsewhere the place is in doubt."""
 
 
 def next_steps(report: Mapping[str, Any], notices: Sequence[str]) -> tuple[list[tuple[str, str]], list[str]]:
@@ -47,7 +51,7 @@ def next_steps(report: Mapping[str, Any], notices: Sequence[str]) -> tuple[list[
         notices: On the run.
     """
     steps, others = [], list(notices)
-    for pattern, action in _OF_NOTICES + (_OF_CONVERGED if _converged(report) >= _FEW else ()):
+    for pattern, action in _OF_NOTICES + (_OF_CONVERGED if _is_doubtful(report) else ()):
         for notice in [each for each in others if re.search(pattern, each)]:
             others.remove(notice)
             steps.append((action, _sentence(notice)))
@@ -86,6 +90,11 @@ def _of_report(report: Mapping[str, Any]) -> list[tuple[str, str]]:
         )
         steps.append(("Record this place again with sharp, well-lit images, and train with them.", reason))
     return steps
+
+
+def _is_doubtful(report: Mapping[str, Any]) -> bool:
+    doubtful = report.get("smoothed_doubtful") or 0
+    return _converged(report) >= _FEW and doubtful > _DOUBTFUL * report["frames"]
 
 
 def _converged(report: Mapping[str, Any]) -> float:

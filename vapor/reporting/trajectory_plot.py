@@ -26,6 +26,8 @@ def plot_trajectories(
 ) -> Axes:
     """Draw trajectories from above, by their names; a line is broken where a hypothesis jumps instead of moving.
 
+    The truth lies below the others, and is wider: where they agree, both are seen.
+
     Names of tracking methods, as of `RunRecord.methods`, and `truth` have the labels and colours of the reports; any
     other name is its own label.
 
@@ -35,7 +37,7 @@ def plot_trajectories(
         plane: Two axes of the world, such as "xz"; None for the horizontal ones, by the cameras.
 
     Raises:
-        VaporTrackError: there is no pose, or the plane is none.
+        VaporTrackError: they have no names, there is no pose, or the plane is none.
 
     Example:
         >>> import vapor
@@ -45,9 +47,13 @@ def plot_trajectories(
         'x [m]'
         >>> axes.figure.savefig("paths.png")
     """
+    if not isinstance(trajectories, Mapping):
+        raise VaporTrackError(
+            f"one {type(trajectories).__name__}, expected trajectories by name, such as {{'mine': ...}}"
+        )
     paths = {name: each.poses if isinstance(each, Trajectory) else each for name, each in trajectories.items()}
     if not any(len(poses) for poses in paths.values()):
-        raise VaporTrackError(f"{len(paths)} trajectories without a pose, expected one at least")
+        raise VaporTrackError(f"no pose in {len(paths)} trajectories, expected one at least")
     plan = Plan(axes, plane, Poses.concatenate([*paths.values()]))
     more = iter(_MORE * len(paths))
     for name, poses in paths.items():
@@ -57,7 +63,8 @@ def plot_trajectories(
         positions = poses.translation
         is_dotted = method is not None and method.kind == "image"
         drawn = positions if is_dotted else np.insert(positions, jumps(positions), np.nan, axis=0)
-        plan.path(drawn, color, label, dotted=is_dotted)
-    x, y = next(poses for poses in paths.values() if len(poses)).translation[0, plan.plane]
+        plan.path(drawn, color, label, dotted=is_dotted, below=name == "truth")
+    truth_first = sorted(paths, key=lambda name: name != "truth")
+    x, y = next(paths[name] for name in truth_first if len(paths[name])).translation[0, plan.plane]
     plan.axes.plot(x, y, "o", color=COLORS["truth"], markersize=5, label="begin", zorder=4)
     return plan.finish()

@@ -90,7 +90,7 @@ class StreamLocalizer:
         skipped: How many images and messages of odometry were left out, by reason.
 
     Raises:
-        VaporTrackError: `wait_s` is not from 0 to 60.
+        VaporTrackError: `wait_s` is not from 0 to 60, or `base_from_camera` is not one finite pose.
 
     Example:
         >>> import numpy as np
@@ -152,7 +152,8 @@ class StreamLocalizer:
             time_ns: When the base was there, integer nanoseconds.
             odom_from_base: In a frame in which the base moves steadily, one pose; where it jumps the motion is unknown,
                 and between poses more than 0.5 s apart.
-            twist_covariance: Of the base's velocity (v, ω) on the way there, (m/s)² and (rad/s)²; None where unknown.
+            twist_covariance: Of the base's velocity (v, ω) on the way there, (m/s)² and (rad/s)²; None or zeros where
+                unknown. That of a message is flat: `np.reshape(message.twist.covariance, (6, 6))`.
 
         Raises:
             VaporTrackError: a value is invalid, it is 10 s older than the latest message, or odometry came in another
@@ -168,7 +169,7 @@ class StreamLocalizer:
         Args:
             time_ns: When it was measured, integer nanoseconds.
             velocity: (vx, vy, vz, ωx, ωy, ωz), m/s and rad/s, along and about the axes of the base.
-            covariance: Of it; None where unknown.
+            covariance: Of it; None or zeros where unknown.
 
         Raises:
             VaporTrackError: as `add_odometry`.
@@ -238,6 +239,10 @@ class StreamLocalizer:
 
     def add_observation(self, observation: Observation) -> list[StreamEstimate]:
         """Take what was observed at one time, without its motion: posteriors of your own, views of several cameras.
+
+        Args:
+            observation: With a time and without odometry: `Observation((View(posterior, mount, "left"), ...),
+                time_ns=time_ns)`, or `Observation.of_posterior(posterior, None, time_ns=time_ns)` of one camera.
 
         Raises:
             VaporTrackError: there is no view or no time, there is odometry, or the time is 10 s older than the latest

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.frame import Trajectory
+from sequences.trajectories import tum
 from sequences.trajectories.tum import format_time, read_tum, write_tum
 from sequences.values import parse_time_ns
 
@@ -98,13 +99,19 @@ def test_files_that_are_missing_or_no_text_are_named(tmp_path: Path) -> None:
         read_tum(tmp_path / "b.tum")
 
 
-def test_a_missing_folder_is_named_and_nothing_is_left_of_a_failed_write(tmp_path: Path) -> None:
+def test_a_missing_folder_is_named_and_nothing_is_left_of_a_failed_write(tmp_path: Path, monkeypatch) -> None:
     with pytest.raises(SequenceError, match="expected the folder"):
         write_tum(tmp_path / "nowhere" / "t.tum", Trajectory(np.zeros(0, np.int64), Poses.identity(0)))
     (tmp_path / "t.tum").write_text("before")
-    broken = Trajectory(np.array([1, 2]), Poses.identity(1))  # more times than poses
-    with pytest.raises(ValueError, match="zip"):
-        write_tum(tmp_path / "t.tum", broken)
+
+    def full(time_ns: int) -> str:
+        if time_ns == 2:
+            raise OSError("no space left")
+        return format_time(time_ns)
+
+    monkeypatch.setattr(tum, "format_time", full)
+    with pytest.raises(SequenceError, match="no space left"):
+        write_tum(tmp_path / "t.tum", Trajectory(np.array([1, 2]), Poses.identity(2)))
     assert (tmp_path / "t.tum").read_text() == "before"
     assert [path.name for path in tmp_path.iterdir()] == ["t.tum"]
 
@@ -115,3 +122,8 @@ def test_real_trajectories_are_read(shared_data: Path) -> None:
     assert len(truth) == 3000
     assert truth.times_ns[0] == 1305031098665900000
     np.testing.assert_allclose(truth.poses[0].translation, [1.3563, 0.6305, 1.6380])
+
+
+def test_a_trajectory_has_as_many_times_as_poses(unchecked):
+    with pytest.raises(SequenceError, match=r"shapes \(2,\) and \(3,\), expected \(n,\) both"):
+        Trajectory(np.arange(2), Poses.identity(3))

@@ -46,6 +46,8 @@ def test_the_ten_lines_that_a_newcomer_sees_first_run(page, tmp_path, monkeypatc
     assert block is not None, f"{page} shows no Python block with ParticleLocalizer"
     lines = [line for line in block.splitlines() if line.strip() and not line.startswith(("import", "from"))]
     assert len(lines) <= 12
-    write_synthetic(synthesize("round-table", seed=3, num_frames=6, width=80, height=60), tmp_path / "sequence.mcap")
+    path = tmp_path / "demo" / "staircase" / "sequence.mcap"
+    path.parent.mkdir(parents=True)
+    write_synthetic(synthesize("round-table", seed=3, num_frames=6, width=80, height=60), path)
     monkeypatch.chdir(tmp_path)
     exec(compile(block, page, "exec"), {"__name__": "page"})

@@ -111,8 +111,11 @@ def test_what_the_report_shows_has_its_action():
 def test_odometry_is_suspected_only_where_the_place_is_known():
     nowhere = LookBack({}, None, np.zeros(20, bool), np.zeros(20), np.zeros(20, bool))
     doubtful = doubtful_notice(replace(simulated_record(20), look_back=nowhere))
-    assert actions(doubtful) == ["Check the odometry there: vapor-track inspect, or --odometry both."]
-    (step,), others = next_steps({**GOOD, "status": {"converged": 0.1, "ambiguous": 0.9}}, [doubtful])
+    many = {"smoothed_doubtful": 20}
+    (action,) = actions(doubtful, **many)
+    assert action == "Check the odometry where images do not fit: vapor-track inspect, or --odometry both."
+    assert next_steps({**GOOD, "smoothed_doubtful": 3}, [doubtful]) == ([], [doubtful])
+    (step,), others = next_steps({**GOOD, **many, "status": {"converged": 0.1, "ambiguous": 0.9}}, [doubtful])
     assert step[0].startswith("Move on")
     assert others == [doubtful]
 

@@ -51,5 +51,18 @@ def test_a_line_is_broken_where_a_hypothesis_jumps():
 
 
 def test_trajectories_without_a_pose_are_named():
-    with pytest.raises(VaporTrackError, match="1 trajectories without a pose"):
+    with pytest.raises(VaporTrackError, match="no pose in 1 trajectories"):
         plot_trajectories({"mine": Poses.identity(0)})
+
+
+def test_a_trajectory_without_a_name_is_an_error_that_says_so(unchecked):
+    with pytest.raises(VaporTrackError, match="one Trajectory, expected trajectories by name"):
+        plot_trajectories(STRAIGHT)
+
+
+def test_the_truth_lies_below_the_others_and_is_wider_and_the_begin_is_its_own():
+    axes = plot_trajectories({"filter": path(np.linspace([1, 0, 1], [2, 1, 1], 21)), "truth": STRAIGHT})
+    drawn = {line.get_label(): line for line in axes.lines}
+    assert drawn["truth"].get_zorder() < drawn["particle filter"].get_zorder()
+    assert drawn["truth"].get_linewidth() > drawn["particle filter"].get_linewidth()
+    np.testing.assert_array_equal(drawn["begin"].get_xydata(), [[0.0, 0.0]])

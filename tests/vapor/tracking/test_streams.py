@@ -374,6 +374,10 @@ BAD = {
     r"time_ns is 1\.5, expected integer": lambda stream: stream.add_odometry(1.5, Poses.identity()),
     r"odometry has batch shape \(2,\)": lambda stream: stream.add_odometry(1, Poses.identity(2)),
     "odometry is not finite": lambda stream: stream.add_odometry(1, Poses(np.eye(3), np.array([0, np.nan, 0]))),
+    "odometry is of type ndarray, expected Poses": lambda stream: stream.add_odometry(1, np.eye(4)),
+    r"covariance has shape \(36,\), expected \(6, 6\)": lambda stream: stream.add_odometry(
+        1, Poses.identity(), [0.0] * 36
+    ),
     "negative eigenvalue": lambda stream: stream.add_odometry(1, Poses.identity(), -np.eye(6)),
     "velocity is .*, expected six finite": lambda stream: stream.add_velocity(1, np.array([np.inf, 0, 0, 0, 0, 0])),
     "as increments after poses, expected one form": lambda stream: stream.add_increment(BEGIN_NS, Odometry.still(0.1)),
@@ -389,6 +393,43 @@ def test_what_cannot_be_used_is_named(message, unchecked):
         stream.add_odometry(BEGIN_NS, Poses.identity())
     with pytest.raises(VaporTrackError, match=message):
         BAD[message](stream)
+
+
+class Forgetful:
+    """A model that returns nothing."""
+
+    def observe(self, image, *, rng):
+        return None
+
+
+def test_an_image_whose_posterior_or_camera_is_none_is_an_error_at_once_and_the_next_one_comes(unchecked):
+    stream = new_stream(model=Forgetful())
+    with pytest.raises(VaporTrackError, match=r"camera 'camera': posterior is None, expected a PosePosterior"):
+        stream.add_image(TIMES_NS[0], image_of(0))
+    with pytest.raises(VaporTrackError, match=r"reference_from_camera of camera 'camera' has batch shape \(1,\)"):
+        image_event(0, reference_from_camera=Poses.identity(1))[1](stream)
+    for each in ODOMETRY[:8]:
+        assert odometry_event(*each)[1](stream) == []
+    assert len(image_event(0)[1](stream)) == 1
+
+
+@pytest.mark.parametrize(
+    ("mount", "message"),
+    [
+        (Poses.identity(1), r"base_from_camera has batch shape \(1,\), expected \(\): one pose"),
+        (np.eye(4), "base_from_camera is of type ndarray, expected Poses"),
+        (Poses(np.eye(3), np.array([0, np.nan, 0])), "base_from_camera is not finite"),
+    ],
+    ids=["batch", "matrix", "NaN"],
+)
+def test_a_mount_that_is_no_pose_is_named(mount, message, unchecked):
+    with pytest.raises(VaporTrackError, match=message):
+        new_stream(base_from_camera=mount)
+
+
+def test_a_start_that_is_no_single_pose_is_named(unchecked):
+    with pytest.raises(VaporTrackError, match=r"world_from_camera has batch shape \(1,\)"):
+        new_stream().start_at(TIMES_NS[0], Poses.identity(1), 1e-4 * np.eye(6), ERRORS)
 
 
 def test_a_wait_that_is_none_is_named():

@@ -36,11 +36,24 @@ SHOWN = ("single_image", "kalman", "filter", "smoothed")
 _IMAGES_A_METRE = 1.5
 _SLOW_HZ, _USUAL_HZ, _VISUAL_HZ = 2.0, 2.5, 10.0
 _LOCALIZED = "/camera/image/compressed"
-_TRAINED_BY = ("sequences", "vapor.calibration", "vapor.checkpoints", "vapor.landmarks", "vapor.regressors")
+_TRAINED_BY = (
+    "sequences",
+    "vapor.calibration",
+    "vapor.cameras",
+    "vapor.checkpoints",
+    "vapor.images",
+    "vapor.landmarks",
+    "vapor.regressors",
+    "vapor.training",
+    "vapor.training_data",
+)
 _LOCALIZED_BY = (
     "sequences",
     "vapor.benchmark.buildings",
+    "vapor.cameras",
+    "vapor.engines",
     "vapor.evaluation",
+    "vapor.images",
     "vapor.landmarks",
     "vapor.observation",
     "vapor.pipeline",
@@ -167,7 +180,7 @@ def _trained(building: Building, directory: Path) -> tuple[Path, dict[str, Any]]
             {
                 "walks": [walk.name for walk in walks],
                 "config": config.settings(),
-                "code": code_digest(*_TRAINED_BY, "vapor.training", "vapor.training_data"),
+                "code": code_digest(*_TRAINED_BY),
             },
             default=str,
         )
