@@ -241,8 +241,8 @@ class StreamLocalizer:
         """Take what was observed at one time, without its motion: posteriors of your own, views of several cameras.
 
         Args:
-            observation: With a time and without odometry: `Observation((View(posterior, mount, "left"), ...),
-                time_ns=time_ns)`, or `Observation.of_posterior(posterior, None, time_ns=time_ns)` of one camera.
+            observation: With a time and without odometry: an `Observation` of a `View` of each camera or, of one,
+                `Observation.of_posterior(posterior, None, time_ns=time_ns)`.
 
         Raises:
             VaporTrackError: there is no view or no time, there is odometry, or the time is 10 s older than the latest
