@@ -11,7 +11,7 @@ from mcap.writer import Writer
 from sequences.recordings.mcap_writer import MessageChannels, ros_header
 from sequences.recordings.message_definitions import encoder
 from sequences.recordings.source import RawMessage
-from tests.helpers.sequence_files import BEGIN_NS, world_from_base
+from tests.helpers.sequence_files import BEGIN_NS, Walk, world_from_base
 
 IMU, GRAVITY = "/imu/data", 9.80665
 _STEP_NS = 1_000_000
@@ -69,3 +69,18 @@ def inertial_messages(
 
 def without_orientation(number: int, message: Message) -> None:
     message["orientation"], message["orientation_covariance"] = np.zeros(4), [-1.0, *[0.0] * 8]
+
+
+def standing_with_unit(folder: Path, *, seconds: float, hz: float = 100.0) -> Path:
+    """A recording of a robot that stands, ten images a second, with a unit that measures just that."""
+    walk = Walk(num_images=round(10 * seconds))
+    there = world_from_base(np.array(BEGIN_NS))
+    walk.odometry = [(time_ns, there) for time_ns, _ in walk.odometry]
+
+    def stands(number: int, message: Message) -> None:
+        message["orientation"] = there.as_quat_xyzw()
+        message["angular_velocity"] = np.zeros(3)
+        message["linear_acceleration"] = GRAVITY * there.rotation.T @ [0, 0, 1.0]
+
+    messages = inertial_messages(seconds=seconds + 0.1, hz=hz, change=stands)
+    return with_messages(walk.write(folder / "plain.mcap"), folder / "imu.mcap", IMU, "sensor_msgs/Imu", messages)

@@ -16,8 +16,8 @@ from sequences.inertial.topics import read_inertial, read_rides
 from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
 from sequences.recordings.mcap_writer import ros_header
-from tests.helpers.inertial_files import IMU, inertial_messages, with_messages
-from tests.helpers.sequence_files import BEGIN_NS, Walk, world_from_base
+from tests.helpers.inertial_files import standing_with_unit, with_messages
+from tests.helpers.sequence_files import BEGIN_NS
 from tests.helpers.simulation import ERRORS, RNG, STD, image_errors, lifted, seen_at
 
 UP = (0.0, -1.0, 0.0)
@@ -254,19 +254,7 @@ def test_five_seconds_after_leaving_a_lift_the_storey_is_right(by_m):
 @pytest.fixture
 def in_a_lift(tmp_path):
     """A recording of 30 s of a robot that stands, with an inertial unit, while the pressure shows a ride."""
-    walk = Walk(num_images=300)
-    there = world_from_base(np.array(BEGIN_NS))
-    walk.odometry = [(time_ns, there) for time_ns, _ in walk.odometry]
-    plain = walk.write(tmp_path / "plain.mcap")
-
-    def stands(number, message):
-        message["orientation"] = there.as_quat_xyzw()
-        message["angular_velocity"] = np.zeros(3)
-        message["linear_acceleration"] = 9.80665 * there.rotation.T @ [0, 0, 1.0]
-
-    with_imu = with_messages(
-        plain, tmp_path / "imu.mcap", IMU, "sensor_msgs/Imu", inertial_messages(seconds=30.1, change=stands)
-    )
+    with_imu = standing_with_unit(tmp_path, seconds=30.0)
 
     def record(unit=1.0):
         seconds = np.arange(0.0, 30.0, 0.1)

@@ -17,7 +17,13 @@ from sequences.recordings.messages import pose_from_message
 from sequences.trajectories.tum import read_tum
 from tests.helpers.checks import no_checks
 from tests.helpers.fake_transport import messages_of, offering
-from tests.helpers.inertial_files import IMU, inertial_messages, with_messages, without_orientation
+from tests.helpers.inertial_files import (
+    IMU,
+    inertial_messages,
+    standing_with_unit,
+    with_messages,
+    without_orientation,
+)
 from tests.helpers.live_reading import Robot
 from tests.helpers.live_session import KnowingModel, Running, hurry, replayed, running
 from tests.helpers.live_system import stamp
@@ -80,18 +86,7 @@ def test_gravity_that_is_upside_down_is_not_used_and_told(tmp_path: Path) -> Non
 
 
 def test_a_ride_in_a_lift_is_part_of_the_motion(tmp_path: Path) -> None:
-    walk = Walk(num_images=200)
-    there = world_from_base(np.array(BEGIN_NS))
-    walk.odometry = [(time_ns, there) for time_ns, _ in walk.odometry]
-    plain = walk.write(tmp_path / "plain.mcap")
-
-    def stands(number, message):
-        message["orientation"] = there.as_quat_xyzw()
-        message["angular_velocity"] = np.zeros(3)
-        message["linear_acceleration"] = 9.80665 * there.rotation.T @ [0, 0, 1.0]
-
-    imu = inertial_messages(seconds=20.1, hz=50.0, change=stands)
-    with_imu = with_messages(plain, tmp_path / "imu.mcap", IMU, "sensor_msgs/Imu", imu)
+    with_imu = standing_with_unit(tmp_path, seconds=20.0, hz=50.0)
     seconds = np.arange(0.0, 20.0, 0.1)
     heights = np.clip(seconds - 8.0, 0.0, 3.0)
     pressures = 101_325.0 * (1.0 - heights / 44_330.0) ** (1.0 / 0.1903)

@@ -117,8 +117,8 @@ def test_poses_of_odometry_that_come_before_an_image_is_due_come_in_any_order(ex
 
 def test_images_that_are_late_give_the_belief_of_those_in_order(expected):
     stream = new_stream()
-    late_ns = lambda index: (0, 250_000_000, 0, 330_000_000, 10_000_000)[index % 5]  # noqa: E731
-    estimates = run(stream, events(image_late_ns=late_ns)) + stream.flush()
+    lateness_ns = (0, 250_000_000, 0, 330_000_000, 10_000_000)
+    estimates = run(stream, events(image_late_ns=lambda index: lateness_ns[index % 5])) + stream.flush()
     assert len(estimates) == COUNT
     assert estimates[-1].time_ns == TIMES_NS[-1]
     assert_same_belief(estimates[-1].estimate, expected[-1], rtol=0, atol=1e-9)

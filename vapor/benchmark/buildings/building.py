@@ -6,6 +6,7 @@ import json
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Any
@@ -101,17 +102,24 @@ class BuildingsConfig:
 
 @dataclass(frozen=True)
 class Building:
-    """A building by its number, and what is done in it."""
+    """A building by its number, and what is done in it.
+
+    Raises:
+        VaporTrackError: no building has this number.
+    """
 
     number: int
     config: BuildingsConfig
+
+    def __post_init__(self) -> None:
+        _ = self.tour_m  # refuses the number before anything is rendered
 
     @property
     def scene(self) -> str:
         """Its name as a scene."""
         return f"building-{self.number}"
 
-    @property
+    @cached_property
     def tour_m(self) -> float:
         """Length of the tour through all of it, metres."""
         return float(ways(draw_plan(self.number)).lengths_m()[-1])

@@ -54,8 +54,6 @@ def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     o = parse("buildings", Options, arguments, program=PROGRAM)
     buildings = [Building(number, o.config) for number in o.buildings]
-    for building in buildings:
-        building.tour_m  # noqa: B018  refuses a number that no building has, before anything is rendered
     claim_folder(o.output, f"{PROGRAM} buildings", reads=o.config.train.files_read, overwrite=o.overwrite)
     jobs = [(building, o.output) for building in buildings]
     of_buildings = completed("measuring", "buildings", measure_building, jobs, o.workers)
