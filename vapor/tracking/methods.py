@@ -101,8 +101,8 @@ FILES: Mapping[str, str] = MappingProxyType({name: method.file for name, method 
 BASELINES = tuple(name for name, method in METHODS.items() if method.tracker is not None)
 """Names of the methods that go from image to image beside the filter."""
 BESIDE_RUNS = ("kalman",)
-"""Those of every run. A Gaussian sum takes as long as the filter, and is as good where nobody carries the camera off: it
-is for benchmarks."""
+"""Those of every run. A Gaussian sum takes as long as the filter, and is as good where nobody carries the camera off:
+benchmarks have it."""
 
 
 def start_baselines(
