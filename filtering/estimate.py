@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
 
 import numpy as np
@@ -20,6 +21,8 @@ from filtering.se3 import Poses
 if TYPE_CHECKING:
     from filtering.plots import Axes
 
+SHOWN_PARTICLES = 300
+"""Of a belief in messages, recordings and reports."""
 _MARGIN = 1.01  # of a squared distance of hypotheses that are compared in full
 
 _GAUSSIAN = 1e6  # degrees of freedom from which on a Student t distribution is taken as Gaussian
@@ -245,6 +248,11 @@ class Estimate:
         factor = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
         draws = np.random.default_rng(0).standard_normal((count, 6, 1))
         return self.particles[which] @ Poses.exp((factor[which] @ draws)[..., 0])
+
+    @cached_property
+    def shown(self) -> Poses:
+        """The cloud that messages, recordings and reports show: 300 poses."""
+        return self.cloud(SHOWN_PARTICLES)
 
     def plot(
         self,

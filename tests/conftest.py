@@ -90,7 +90,7 @@ def no_camera(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def plain_results(monkeypatch: pytest.MonkeyPatch) -> None:
     """Runs publish few particles, where a test does not look at them."""
-    monkeypatch.setattr("vapor.reporting.run_outputs.PUBLISHED_PARTICLES", 20)
+    monkeypatch.setattr("filtering.estimate.SHOWN_PARTICLES", 20)
 
 
 @cache

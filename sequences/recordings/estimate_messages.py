@@ -13,7 +13,6 @@ from filtering.se3 import Poses
 from sequences.recordings.mcap_writer import MAP_FRAME, MessageWriter, ros_header, ros_poses, ros_transform
 from sequences.recordings.messages import covariance_to_ros
 
-PUBLISHED_PARTICLES = 500  # after each image
 _ARROW_M = 0.5  # length of the arrow of a mode, along its optical axis
 _MARKER_ARROW, _MARKER_DELETE_ALL = 0, 3
 _LEAST_EIGENVALUE = 1e-14  # of the largest: the resolution of double precision
@@ -37,12 +36,10 @@ def estimate_messages(
     """The belief after one image, as messages in the map or another frame; poses are of the optical frame.
 
     Topics: `pose` (best mode, PoseWithCovarianceStamped; none without modes), `modes` (MarkerArray: an arrow along each
-    mode's optical axis, its opacity the weight), `particles` (PoseArray, thinned evenly to at most 500). Modes come
-    best first; particles are world_from_camera, (n,). Raises VaporTrackError where a pose or covariance is not sound.
+    mode's optical axis, its opacity the weight), `particles` (PoseArray). Modes come best first; particles are
+    world_from_camera, (n,). Raises VaporTrackError where a pose or covariance is not sound.
     """
     header = ros_header(time_ns, frame)
-    if len(particles) > PUBLISHED_PARTICLES:
-        particles = particles[np.linspace(0, len(particles) - 1, PUBLISHED_PARTICLES).astype(int)]
     require_sound(Poses.concatenate([particles, *(Poses.stack([pose]) for pose, _, _ in modes)]))
     poses = ros_poses(particles, known_valid=True)  # the check takes nine times as long
     markers = [{"header": header, "ns": "modes", "action": _MARKER_DELETE_ALL}]

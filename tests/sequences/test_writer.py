@@ -138,7 +138,7 @@ def test_an_estimate_is_written_in_ros_conventions(tmp_path: Path) -> None:
     root = rng.normal(scale=0.1, size=(6, 6))
     poses = Poses.exp(rng.normal(size=(2, 6)))
     modes = [(poses[0], root @ root.T, 0.7), (poses[1], np.eye(6), 0.3)]
-    particles = Poses.exp(rng.normal(size=(2000, 6)))
+    particles = Poses.exp(rng.normal(size=(300, 6)))
     path = tmp_path / "estimate.mcap"
     with EstimateWriter(path) as writer:
         writer.write(BEGIN_NS, modes, particles)
@@ -158,7 +158,7 @@ def test_an_estimate_is_written_in_ros_conventions(tmp_path: Path) -> None:
     np.testing.assert_allclose(tip - tail, 0.5 * poses[1].rotation[:, 2], atol=1e-12)
 
     clouds = [message.poses for message in decoded(path, "/estimate/particles")]
-    assert [len(cloud) for cloud in clouds] == [500, 3]
+    assert [len(cloud) for cloud in clouds] == [300, 3]
     for message, particle in zip(clouds[1], particles.translation, strict=False):
         np.testing.assert_allclose([message.position.x, message.position.y, message.position.z], particle)
     transform = decoded(path, "/tf")[0].transforms[0]

@@ -36,8 +36,8 @@ def summarise(results: Results) -> dict[str, dict[str, dict[str, Any]]]:
 def failed(result: Mapping[str, Any]) -> bool:
     """Whether a run is one to look at.
 
-    With something unique on its way: it did not find itself. Without, or standing: it was confident of a wrong place in
-    at least 5 % of its images. Carried off: it did not recover within 50 images.
+    With something unique on its way: it did not find the right place. Without, or standing: it was confident of a wrong
+    place in at least 5 % of its images. Carried off: it did not recover within 50 images.
     """
     like, belief = KINDS[result["kind"]].like, result["belief"]["filter"]
     if like == "cue":

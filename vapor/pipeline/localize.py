@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -31,7 +32,7 @@ from vapor.reporting.rerun_place import Place
 from vapor.reporting.run_outputs import RunOutputs
 from vapor.tracking.hindsight import LookBack
 from vapor.tracking.loop import StepLoop, elapsed_s
-from vapor.tracking.methods import start_baselines
+from vapor.tracking.methods import BESIDE_RUNS, start_baselines
 
 Item = TypeVar("Item")
 
@@ -98,8 +99,9 @@ def localize(
         VaporTrackError: unusable frames, none, or too few.
     """
     settings = config.localizer
-    localizer = ParticleLocalizer(model, settings, rng=np.random.default_rng(config.seed))
-    loop = StepLoop(localizer, start_baselines(settings, lambda: np.random.default_rng(config.seed)))
+    rng = partial(np.random.default_rng, config.seed)
+    localizer = ParticleLocalizer(model, settings, rng=rng())
+    loop = StepLoop(localizer, start_baselines(settings, rng, only=BESIDE_RUNS))
     steps: list[FilterStep] = []
     on_storeys: list[np.ndarray] = []
 

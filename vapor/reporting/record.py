@@ -27,7 +27,6 @@ Item = TypeVar("Item")
 
 MOST_MOMENTS = 300
 _MOST_KEYFRAMES = 24
-_CLOUD_SIZE = 300
 _THUMBNAIL_SIDE, _MOMENT_SIDE = 320, 200  # pixels
 _MOMENT_PARTICLES, _MOMENT_QUALITY = 60, 70
 
@@ -77,7 +76,7 @@ class Keyframe:
     @staticmethod
     def of(frame: Frame, estimate: Estimate) -> Keyframe:
         """An image and the belief after it."""
-        cloud = estimate.cloud(_CLOUD_SIZE)
+        cloud = estimate.shown
         return Keyframe(
             time_ns=frame.time_ns,
             thumbnail=shrunk(frame.image, _THUMBNAIL_SIDE).copy(),  # the decoder's buffer may be used again

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     import rerun as rr
 
 
-_CLOUD_SIZE = 300
+_SAMPLES = 300  # of an image's posterior that are shown as points
 _FRUSTA = 40  # samples of an image's posterior that are shown as cameras
 _IMAGES_AT_ONCE = 32  # are sent, where nobody watches
 _FLUSH_S = 2.0  # that a remote viewer has for messages under way
@@ -115,7 +115,7 @@ class RerunViewer:
         self._log_camera(frame, estimate)
         self._log_belief(frame, estimate)
         if posterior_poses is not None and len(posterior_poses):
-            points = thinned(posterior_poses, _CLOUD_SIZE).translation.astype(np.float32)
+            points = thinned(posterior_poses, _SAMPLES).translation.astype(np.float32)
             self._rows.add("world/posterior", rr.Points3D, positions=points)
             cameras = frusta(thinned(posterior_poses, _FRUSTA), self._small_camera_m)
             self._rows.add("world/posterior/cameras", rr.LineStrips3D, strips=cameras)
@@ -173,7 +173,7 @@ class RerunViewer:
     def _log_belief(self, frame: Frame, estimate: Estimate) -> None:
         import rerun as rr
 
-        points = estimate.cloud(_CLOUD_SIZE).translation
+        points = estimate.shown.translation
         modes = Poses.stack([mode.world_from_camera for mode in estimate.modes])
         nearest = np.linalg.norm(points[:, None] - modes.translation, axis=-1).argmin(axis=1)
         colors = self._colors.of(modes, frame.odometry)

@@ -16,7 +16,7 @@ from sequences.atomic import atomic_output
 from sequences.errors import SequenceError
 from sequences.frame import Frame
 from sequences.reading.counts import ImageCounts
-from sequences.recordings.estimate_messages import PUBLISHED_PARTICLES, EstimateWriter
+from sequences.recordings.estimate_messages import EstimateWriter
 from vapor.reporting.modes_file import COLUMNS, write_modes
 from vapor.reporting.record import RunRecord, RunRecorder
 from vapor.reporting.rerun_place import Place
@@ -70,7 +70,7 @@ class RunOutputs:
             raise SequenceError(f"{self._modes.name}: cannot write: {error.strerror or error}") from error
         modes = [(mode.world_from_camera, mode.covariance, mode.weight) for mode in estimate.modes]
         try:
-            self._writer.write(frame.time_ns, modes, estimate.cloud(PUBLISHED_PARTICLES))
+            self._writer.write(frame.time_ns, modes, estimate.shown)
         except OSError as error:
             raise SequenceError(f"{self._writer.path}: cannot write: {error.strerror or error}") from error
         if self._viewer is not None:

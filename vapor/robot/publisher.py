@@ -13,7 +13,7 @@ from filtering.estimate import Estimate, Status
 from filtering.se3 import Poses
 from filtering.storeys import Storeys
 from sequences.live.transport import Transport
-from sequences.recordings.estimate_messages import PUBLISHED_PARTICLES, Message, estimate_messages, pose_with_covariance
+from sequences.recordings.estimate_messages import Message, estimate_messages, pose_with_covariance
 from sequences.recordings.mcap_writer import ros_header, ros_poses, ros_transform
 from sequences.recordings.message_definitions import encoder
 from sequences.recordings.messages import covariance_from_ros, pose_from_message
@@ -163,8 +163,9 @@ class Publisher:
     def send_belief(self, time_ns: int, estimate: Estimate) -> None:
         """Publish the belief of a time."""
         modes = [(mode.world_from_camera, mode.covariance, mode.weight) for mode in estimate.modes]
-        cloud = estimate.cloud(PUBLISHED_PARTICLES)
-        messages = estimate_messages(time_ns, modes, cloud, under=self._config.under, frame=self._config.map_frame)
+        messages = estimate_messages(
+            time_ns, modes, estimate.shown, under=self._config.under, frame=self._config.map_frame
+        )
         self.last_sent = self._send(messages)
 
     def send_lagged(self, belief: LiveBelief) -> None:

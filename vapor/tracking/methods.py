@@ -100,6 +100,9 @@ FILES: Mapping[str, str] = MappingProxyType({name: method.file for name, method 
 """The file of a run's directory that holds each method's trajectory."""
 BASELINES = tuple(name for name, method in METHODS.items() if method.tracker is not None)
 """Names of the methods that go from image to image beside the filter."""
+BESIDE_RUNS = ("kalman",)
+"""Those of every run. A Gaussian sum takes as long as the filter, and is as good where nobody carries the camera off:
+benchmarks have it."""
 
 
 def start_baselines(

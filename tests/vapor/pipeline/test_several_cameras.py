@@ -45,7 +45,7 @@ def test_every_image_of_every_camera_gives_the_pose_of_the_first(rig: Path, tmp_
     record = localize(SequenceReader(rig, reading), Seeing(), tmp_path, FilteringConfig(recording=False), NOISE)
     assert record.cameras == (FRONT, LEFT) * 12
     assert record.truth is not None
-    for name in ("filter", "smoothed", "single_image", "kalman", "gaussian_sum"):
+    for name in ("filter", "smoothed", "single_image", "kalman"):
         found = record.methods[name].poses
         errors_m = found[: len(record.truth)].distance(record.truth.poses)[0]
         assert errors_m.max() < 0.05, name

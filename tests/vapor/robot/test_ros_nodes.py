@@ -110,7 +110,7 @@ def particles_and_modes_come_with_every_pose(heard: Received) -> None:
     stamps = [stamp(each.fields.header) for each in heard.on("/estimate/pose")]
     particles = heard.on("/estimate/particles")
     assert {*stamps} <= {stamp(each.fields.header) for each in particles}
-    assert {len(each.fields.poses) for each in particles} == {500}
+    assert {len(each.fields.poses) for each in particles} == {300}
     assert {*stamps} <= {stamp(each.fields.markers[-1].header) for each in heard.on("/estimate/modes")}
 
 

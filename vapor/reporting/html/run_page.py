@@ -74,7 +74,7 @@ def filter_sentence(report: Mapping[str, Any]) -> str:
     off = f"{100 * metrics['median_translation_m']:.1f} cm and {metrics['median_rotation_deg']:.1f}° off in the median"
     if metrics["converged_at_s"] is None:
         part = 100 * metrics["recall"][RIGHT]
-        return f"It did not find itself for good: {part:.0f} % of the images are right, {_WITHIN}."
+        return f"It did not find the right place for good: {part:.0f} % of the images are right, {_WITHIN}."
     since = "the first image" if metrics["converged_at_s"] == 0.0 else f"{metrics['converged_at_s']:.1f} s"
     return f"Right from {since} on, {off}."
 

@@ -107,7 +107,7 @@ def test_the_verdict_says_what_happened(record):
     assert verdict(report, record).startswith(f"Right from {right:.1f} s on, ")
     assert verdict(report, record).endswith("never sure and wrong.")
     lost = {**report["filter"], "converged_at_s": None}
-    assert verdict({**report, "filter": lost}, record).startswith("It did not find itself for good: ")
+    assert verdict({**report, "filter": lost}, record).startswith("It did not find the right place for good: ")
     consistency = {**report["consistency"], "wrong": 0.1, "images": 50}
     assert "sure and wrong in 5 of the 50 images" in verdict({**report, "consistency": consistency}, record)
     consistency = {"images": 0, "wrong": None, "coverage": None, "median_nees": None}
