@@ -206,11 +206,18 @@ def with_drift(
     hypotheses: Hypotheses, mean: Float64[np.ndarray, " 6"], covariance: Float64[np.ndarray, "6 6"]
 ) -> Hypotheses:
     """The same with another drift, which is not correlated with the rest of the state."""
-    means, covariances = hypotheses.mean.copy(), hypotheses.covariance.copy()
-    means[:, DRIFT.start - 6 : DRIFT.stop - 6] = mean
-    covariances[:, DRIFT] = covariances[:, :, DRIFT] = 0.0
-    covariances[:, DRIFT, DRIFT] = covariance
-    return replace(hypotheses, mean=means, covariance=covariances)
+    after = unchecked_replace(hypotheses, mean=hypotheses.mean.copy(), covariance=hypotheses.covariance.copy())
+    set_drift(after, mean, covariance)
+    return after
+
+
+def set_drift(
+    hypotheses: Hypotheses, mean: Float64[np.ndarray, " 6"] | float, covariance: Float64[np.ndarray, "6 6"]
+) -> None:
+    """As `with_drift`, in place."""
+    hypotheses.mean[:, DRIFT.start - 6 : DRIFT.stop - 6] = mean
+    hypotheses.covariance[:, DRIFT] = hypotheses.covariance[:, :, DRIFT] = 0.0
+    hypotheses.covariance[:, DRIFT, DRIFT] = covariance
 
 
 def without_correlation(covariance: Float64[np.ndarray, "n d d"], camera: int) -> Float64[np.ndarray, "n d d"]:

@@ -30,7 +30,7 @@ from filtering.hypotheses import (
     with_source,
 )
 from filtering.measurement_noise import MeasurementNoise
-from filtering.mixture_reduction import reduce_mixture
+from filtering.mixture_reduction import reduce_mixture, resample
 from filtering.motion import Odometry, OdometryBias, require_odometry
 from filtering.observation import Observation, View
 from filtering.posterior import PosePosterior
@@ -273,16 +273,10 @@ def _weighed(hypotheses: Hypotheses, mass: float) -> Hypotheses:
 def reduce(belief: Belief, config: LocalizerConfig) -> Belief:
     """Prune light hypotheses, merge those that agree, and resample beyond `max_hypotheses`."""
     hypotheses, rng = hypotheses_of(belief), belief.rng
-    if len(hypotheses) > config.max_hypotheses:
+    reduced = reduce_mixture(hypotheses, divergence=config.merge_divergence, least_weight=config.least_weight)
+    if len(reduced) > config.max_hypotheses:
         rng = copy.deepcopy(rng)
-    reduced = reduce_mixture(
-        hypotheses,
-        divergence=config.merge_divergence,
-        least_weight=config.least_weight,
-        most=config.max_hypotheses,
-        resampling=config.resampling,
-        rng=rng,
-    )
+        reduced = resample(reduced, config.max_hypotheses, config.resampling, rng=rng)
     return unchecked_replace(belief, hypotheses=reduced, rng=rng)
 
 

@@ -9,7 +9,7 @@ Value = TypeVar("Value")
 
 def unchecked_replace(value: Value, **changes: Any) -> Value:
     """As `dataclasses.replace`, for changes that keep a frozen dataclass valid: its checks are not run again."""
-    copy = object.__new__(type(value))
+    copy, own = object.__new__(type(value)), vars(value)
     fields: dict[str, Any] = type(value).__dataclass_fields__  # pyright: ignore[reportAttributeAccessIssue]
-    vars(copy).update({name: getattr(value, name) for name in fields} | changes)
+    vars(copy).update({name: own[name] for name in fields}, **changes)
     return copy
