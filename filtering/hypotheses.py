@@ -7,7 +7,7 @@ Sources: Doucet, de Freitas, Murphy and Russell, "Rao-Blackwellised particle fil
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -57,10 +57,7 @@ def blocks(count: int) -> Iterator[slice]:
 
 def log_sum(log_values: Float64[np.ndarray, " n"]) -> float:
     """Log of the sum of exp(values) (n,), n ≥ 1."""
-    largest = float(log_values.max())
-    if not np.isfinite(largest):
-        return largest
-    return largest + float(np.log(np.exp(log_values - largest).sum()))
+    return float(np.logaddexp.reduce(log_values))
 
 
 @dataclass(frozen=True)
@@ -127,8 +124,8 @@ class Hypotheses:
             )
         return unchecked_replace(self, log_weights=log_weights - total)
 
-    def reweighted(self, log_factors: Float64[np.ndarray, " n"]) -> Hypotheses:
-        """The same with weights times factors (n,), not normalised."""
+    def reweighted(self, log_factors: Float64[np.ndarray, " n"] | float) -> Hypotheses:
+        """The same with weights times factors, of all or of each (n,), not normalised."""
         return unchecked_replace(self, log_weights=self.log_weights + log_factors)
 
     def normalized(self) -> Hypotheses:
@@ -183,7 +180,7 @@ def birth(
         covariance[places, POSE, own] = shared
         covariance[places, own, POSE] = np.swapaxes(shared, 1, 2)
     shares = posterior.shares
-    places = np.flatnonzero(shares)
+    places = shares.nonzero()[0]
     born = Hypotheses(posterior.means, mean, covariance, np.zeros(count), np.full(count, RIGHT))
     return born[places].with_log_weights(np.log(shares[places]))
 
@@ -193,12 +190,13 @@ def odometry_bias_of(belief: Hypotheses) -> tuple[Float64[np.ndarray, " 7"], Flo
 
     Where it is right for none, the scale error is that of the heaviest one, and the drift is unknown.
     """
-    right = belief.regime == RIGHT
-    heaviest = int(np.argmax(np.where(right | ~right.any(), belief.log_weights, -np.inf)))
-    mean, covariance = belief.mean[heaviest, :7].copy(), belief.covariance[heaviest, BIAS, BIAS].copy()
-    if not right[heaviest]:
-        mean[1:], covariance[1:], covariance[:, 1:] = 0.0, 0.0, 0.0
-        covariance[1:, 1:] = np.eye(6)
+    right = (belief.regime == RIGHT).nonzero()[0]
+    if len(right):
+        heaviest = right[belief.log_weights[right].argmax()]
+        return belief.mean[heaviest, :7], belief.covariance[heaviest, BIAS, BIAS]
+    heaviest = belief.log_weights.argmax()
+    mean, covariance = np.zeros(7), np.eye(7)
+    mean[0], covariance[0, 0] = belief.mean[heaviest, 0], belief.covariance[heaviest, BIAS.start, BIAS.start]
     return mean, covariance
 
 
@@ -234,4 +232,4 @@ def with_source(hypotheses: Hypotheses) -> Hypotheses:
     covariance[:, :size, :size] = hypotheses.covariance
     covariance[:, range(size, size + 6), range(size, size + 6)] = 1.0
     mean = np.concatenate([hypotheses.mean, np.zeros((count, 6))], axis=1)
-    return replace(hypotheses, mean=mean, covariance=covariance)
+    return unchecked_replace(hypotheses, mean=mean, covariance=covariance)

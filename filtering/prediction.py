@@ -158,7 +158,7 @@ def with_regimes(
     duration_s = odometry.duration_s
     if failures_per_s * since_s <= 0.0:
         return hypotheses
-    heavy, is_right = hypotheses.log_weights > np.log(_HEAVY), hypotheses.regime == RIGHT
+    heavy, is_right = hypotheses.log_weights > math.log(_HEAVY), hypotheses.regime == RIGHT
     right, failed = (heavy & is_right).nonzero()[0], (heavy & ~is_right).nonzero()[0]
     fails = min(-math.expm1(-failures_per_s * since_s), _MOST)
     ceases = min(-math.expm1(-since_s / failure_s), 1.0 - 1e-9)
@@ -240,7 +240,7 @@ def drift_of(odometry: Odometry, odometry_bias: OdometryBias) -> Float64[np.ndar
     """Standard deviation of the drift's share in an increment, each axis, metres and radians."""
     duration_s = min(odometry.duration_s, _LONGEST_S)
     if odometry_bias.drift is None:
-        return odometry_bias.relative_drift * np.sqrt(np.diag(odometry.covariance) * duration_s)
+        return odometry_bias.relative_drift * np.sqrt(odometry.covariance.diagonal() * duration_s)
     return np.asarray(odometry_bias.drift) * duration_s
 
 

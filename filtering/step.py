@@ -250,11 +250,11 @@ def add_births(belief: Belief, used: Sequence[UsedView], novelty: float, config:
     agreement = float(np.mean([one.agreement for one in used]))
     carried = BIRTHS[config.births](belief, novelty, agreement, config)
     unassigned = belief.unassigned + carried * (1.0 - belief.unassigned)
-    parts = [_weighed(hypotheses_of(belief), 1.0 - unassigned)]
+    parts = [hypotheses_of(belief).reweighted(_log(1.0 - unassigned))]
     for one in used:
         taken = one.likelihood_power / len(used) * unassigned * assigned_by(one.posterior)
         if taken > 0.0:
-            parts.append(_weighed(born_at(one.posterior, one.camera, belief, config), taken))
+            parts.append(born_at(one.posterior, one.camera, belief, config).reweighted(_log(taken)))
             unassigned -= taken
     if len(parts) == 1:
         return unchecked_replace(belief, unassigned=unassigned)
@@ -264,10 +264,6 @@ def add_births(belief: Belief, used: Sequence[UsedView], novelty: float, config:
 def assigned_by(posterior: PosePosterior) -> float:
     """Probability that an image shows the true place."""
     return (1.0 - posterior.outlier_probability) * float(posterior.weights.sum())
-
-
-def _weighed(hypotheses: Hypotheses, mass: float) -> Hypotheses:
-    return hypotheses.reweighted(np.full(len(hypotheses), _log(mass)))
 
 
 def reduce(belief: Belief, config: LocalizerConfig) -> Belief:
