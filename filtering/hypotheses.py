@@ -6,6 +6,7 @@ Sources: Doucet, de Freitas, Murphy and Russell, "Rao-Blackwellised particle fil
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -57,7 +58,10 @@ def blocks(count: int) -> Iterator[slice]:
 
 def log_sum(log_values: Float64[np.ndarray, " n"]) -> float:
     """Log of the sum of exp(values) (n,), n ≥ 1."""
-    return float(np.logaddexp.reduce(log_values))
+    largest = float(log_values.max())
+    if not math.isfinite(largest):
+        return largest
+    return largest + math.log(np.exp(log_values - largest).sum())
 
 
 @dataclass(frozen=True)

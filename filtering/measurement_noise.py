@@ -139,7 +139,7 @@ class MeasurementNoise:
         With a map of landmarks they are those of the pose, at least of a verified place, at most of another place.
         """
         if self.verified is None:
-            return np.broadcast_to(np.asarray(self.typical_std), covariance.shape[:-1])
+            return np.full(covariance.shape[:-1], self.typical_std)
         std = np.sqrt(np.maximum(np.einsum("...ii->...i", covariance), 0.0))
         finest = np.asarray(self.verified.typical_std)
         return np.clip(std, finest, np.maximum(finest, self.typical_std))
