@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -121,7 +122,7 @@ class CameraMemory:
             return self
         return unchecked_replace(self, sources=(*self.sources, Source.first_seen(noise, number, unknown=unknown, adapts=adapts)))
 
-    @property
+    @cached_property
     def noise(self) -> MeasurementNoise:
         """Noise of its images, scaled by what odometry has shown."""
         network = self.sources[0].applied

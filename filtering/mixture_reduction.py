@@ -58,14 +58,13 @@ def _by_falling_weight(log_weights: Float64[np.ndarray, " n"]) -> Int64[np.ndarr
 
 def _leaders(h: Hypotheses, divergence: float) -> Int64[np.ndarray, " n"]:
     """For every hypothesis, by falling weight, the heavier one that it is merged into, or itself."""
-    count, covariance = len(h), h.pose_covariance
-    leader = np.arange(count)
+    leader, covariance = list(range(len(h))), h.pose_covariance
     # A divergence is at least half the squared distance.
     heavy, light = _near(h, min(_NEAR, 2.0 * divergence)).nonzero()
     alike = (heavy < light) & (h.regime[heavy] == h.regime[light])
     heavy, light = heavy[alike], light[alike]
     if len(heavy) == 0:
-        return leader
+        return np.array(leader)
     leads = np.bincount(heavy).nonzero()[0]
     information = np.linalg.inv(covariance[leads]).reshape(-1, 36)[leads.searchsorted(heavy)]
     log_det = np.linalg.slogdet(covariance)[1]
@@ -73,15 +72,10 @@ def _leaders(h: Hypotheses, divergence: float) -> Int64[np.ndarray, " n"]:
     second_moment = covariance[light] + offset[:, :, None] * offset[:, None, :]
     trace = np.vecdot(information, second_moment.reshape(-1, 36))
     close = 0.5 * (trace - 6.0 + log_det[heavy] - log_det[light]) < divergence
-    described = np.zeros((count, count), bool)
-    described[heavy[close], light[close]] = True
-    free = np.ones(count, bool)
-    for i in described.any(axis=1).nonzero()[0]:
-        if free[i]:
-            members = described[i] & free
-            leader[members] = i
-            free &= ~members
-    return leader
+    for i, j in zip(heavy[close].tolist(), light[close].tolist(), strict=True):  # the heaviest first
+        if leader[i] == i and leader[j] == j:
+            leader[j] = i
+    return np.array(leader)
 
 
 def _near(h: Hypotheses, reach: float) -> Bool[np.ndarray, "n n"]:
