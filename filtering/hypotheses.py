@@ -179,6 +179,8 @@ def birth(
     covariance[:, POSE, POSE] = posterior.covariances
     for source, number in enumerate((camera, camera if landmarks is None else landmarks)):
         places, own = posterior.sources[source], correlated_error(number)
+        if len(places) == 0:
+            continue
         factors = along_map(posterior.factors[places], posterior.means.rotation[places])
         shared = -np.sqrt(posterior.noise_of(source).correlated_fraction) * factors
         covariance[places, POSE, own] = shared

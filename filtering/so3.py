@@ -28,7 +28,7 @@ def rotation_from_quat_xyzw(quat_xyzw: Float64[np.ndarray, "*batch 4"]) -> Float
 
 def rotvec_from_rotation(rotation: Float64[np.ndarray, "*batch 3 3"]) -> Float64[np.ndarray, "*batch 3"]:
     """Rotation vectors of rotation matrices, with angles up to π."""
-    return _rotvec(rotation.reshape(-1, 9)).T.reshape(*rotation.shape[:-2], 3)
+    return _rotvec(rotation.reshape(-1, 9))[0].T.reshape(*rotation.shape[:-2], 3)
 
 
 def skew(v: np.ndarray) -> np.ndarray:
@@ -65,24 +65,25 @@ def log(
 
     k cancels as θ falls, and its factor Ω² is as small then.
     """
-    omega, t = _rotvec(rotation), translation.T
-    angle_sq = _squared(omega) + _NO_ANGLE
-    half = 0.5 * np.sqrt(angle_sq)
-    k = (1.0 - half / np.tan(half)) / angle_sq
+    (omega, angle), t = _rotvec(rotation), translation.T
+    half = 0.5 * angle
+    k = (1.0 - half / np.tan(half)) / np.square(angle)
     _, turned, turned_twice = _turned(omega, t)
     return np.concatenate([t - 0.5 * turned + k * turned_twice, omega]).T.copy()
 
 
-def _rotvec(rotation: Float64[np.ndarray, "n 9"]) -> Float64[np.ndarray, "3 n"]:
+def _rotvec(rotation: Float64[np.ndarray, "n 9"]) -> tuple[Float64[np.ndarray, "3 n"], Float64[np.ndarray, " n"]]:
+    """Rotation vectors, and their angles: above 0, at most π."""
     # Half of R − Rᵀ is sin θ times the axis: exact and fast except near π, where it vanishes.
     parts = _SINE_COSINE.T @ rotation.T
     sine_axis, cosine = parts[:3], parts[3] - 0.5
     sine = np.sqrt(_squared(sine_axis) + _NO_ANGLE)
-    rotvec = sine_axis * (np.arctan2(sine, cosine) / sine)
+    angle = np.arctan2(sine, cosine)
+    rotvec = sine_axis * (angle / sine)
     far = (cosine < -0.9).nonzero()[0]
     if len(far):
         rotvec[:, far] = Rotation.from_matrix(rotation[far].reshape(-1, 3, 3), assume_valid=True).as_rotvec().T
-    return rotvec
+    return rotvec, angle
 
 
 def _turned(omega: Float64[np.ndarray, "3 n"], v: Float64[np.ndarray, "3 n"]) -> tuple[np.ndarray, ...]:

@@ -5,7 +5,6 @@ Each stage takes a belief and gives the next one; nothing is changed in place.
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -36,6 +35,7 @@ from filtering.observation import Observation, View
 from filtering.posterior import PosePosterior
 from filtering.prediction import Gap, across_gap, gap_motion, leaps, moved, unknown_velocity, usual_speed, with_regimes
 from filtering.prediction import predict as predict_hypotheses
+from filtering.resampling import copied
 from filtering.unchecked import unchecked_replace
 from filtering.vertical import Vertical, VerticalMemory, corrected_by
 
@@ -271,7 +271,7 @@ def reduce(belief: Belief, config: LocalizerConfig) -> Belief:
     hypotheses, rng = hypotheses_of(belief), belief.rng
     reduced = reduce_mixture(hypotheses, divergence=config.merge_divergence, least_weight=config.least_weight)
     if len(reduced) > config.max_hypotheses:
-        rng = copy.deepcopy(rng)
+        rng = copied(rng)
         reduced = resample(reduced, config.max_hypotheses, config.resampling, rng=rng)
     return unchecked_replace(belief, hypotheses=reduced, rng=rng)
 
