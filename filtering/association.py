@@ -254,9 +254,7 @@ def corrected_poses(
     difference, information = pairs.difference[taken], pairs.predicted.innovation_precision[taken]
     before, seen = poses[pairs.hypothesis[taken]], places[pairs.place[taken]]
     left = change - difference
-    left_squared, squared = (
-        np.vecdot(each, (information @ each[:, :, None])[:, :, 0]) for each in (left, change)
-    )
+    left_squared, squared = (np.vecdot(each, (information @ each[:, :, None])[:, :, 0]) for each in (left, change))
     from_place = left_squared < squared
     start = Poses(
         np.where(from_place[:, None, None], seen.rotation, before.rotation),

@@ -120,7 +120,8 @@ class CameraMemory:
         noise = view.posterior.noise.verified
         if noise is None or len(self.sources) > 1:
             return self
-        return unchecked_replace(self, sources=(*self.sources, Source.first_seen(noise, number, unknown=unknown, adapts=adapts)))
+        landmarks = Source.first_seen(noise, number, unknown=unknown, adapts=adapts)
+        return unchecked_replace(self, sources=(*self.sources, landmarks))
 
     @cached_property
     def noise(self) -> MeasurementNoise:

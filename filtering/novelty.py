@@ -51,9 +51,9 @@ class NoveltyTracker:
         distance = float(self._lengths(self.anchor, pose))
         moved = max(distance - self.reached, 0.0)
         in_all = self.normalized_distance + moved
-        if distance >= _STEP:
-            return unchecked_replace(self, pose=pose, anchor=pose, reached=0.0, normalized_distance=in_all), moved
-        return unchecked_replace(self, pose=pose, reached=max(self.reached, distance), normalized_distance=in_all), moved
+        anchor, reached = (pose, 0.0) if distance >= _STEP else (self.anchor, max(self.reached, distance))
+        after = unchecked_replace(self, pose=pose, anchor=anchor, reached=reached, normalized_distance=in_all)
+        return after, moved
 
     def after_unknown(self, distance_m: float, angle_rad: float) -> tuple[NoveltyTracker, float]:
         """The same after a motion of which only the likely distance and angle are known."""

@@ -58,9 +58,7 @@ def exp(tangent: Float64[np.ndarray, "n 6"]) -> tuple[Float64[np.ndarray, "n 9"]
     return rotation.T.copy(), translation.T.copy()
 
 
-def log(
-    rotation: Float64[np.ndarray, "n 9"], translation: Float64[np.ndarray, "n 3"]
-) -> Float64[np.ndarray, "n 6"]:
+def log(rotation: Float64[np.ndarray, "n 9"], translation: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 6"]:
     """The inverse of `exp`: v = t − Ω t/2 + k Ω² t with k = 1/θ² − (1 + cos θ)/(2 θ sin θ), and ω up to π.
 
     k cancels as θ falls, and its factor Ω² is as small then.
