@@ -103,6 +103,7 @@ def mixture_moments(
     fractions = (weights / np.add.reduceat(weights, starts)[mixture])[:, None]
     middle = np.add.reduceat(fractions * means, starts)
     residual = means - middle[mixture]
-    weighted = (fractions * residual)[:, :, None] * residual[:, None, :]
-    weighted += fractions[:, :, None] * covariances
-    return totals, middle, np.add.reduceat(weighted, starts)
+    spread = residual[:, :, None] * residual[:, None, :]
+    spread += covariances
+    spread *= fractions[:, :, None]
+    return totals, middle, np.add.reduceat(spread, starts)
