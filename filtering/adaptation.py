@@ -8,7 +8,7 @@ error that all images share does not show.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -70,13 +70,13 @@ class ErrorScale:
         if self.place is None:
             return self
         since = camera_motion if self.since is None else self.since.then(camera_motion)
-        return replace(self, since=since, normalized_distance=self.normalized_distance + normalized_distance)
+        return unchecked_replace(self, since=since, normalized_distance=self.normalized_distance + normalized_distance)
 
     def observe(self, posterior: PosePosterior, normalized_distance: float) -> ErrorScale:
         """After an informative image of the camera, which moved so far since the last one."""
         follow = -np.expm1(-normalized_distance / _LATELY)
         information = self.information + follow * (1.0 / posterior.growth - self.information)
-        return replace(self, information=float(information))._compared(posterior)
+        return unchecked_replace(self, information=float(information))._compared(posterior)
 
     def _compared(self, posterior: PosePosterior) -> ErrorScale:
         heaviest = int(np.argmax(posterior.weights))
@@ -101,12 +101,12 @@ class ErrorScale:
         kept = min(1.0, _REMEMBERED / (self.count + worth))
         usual = _usual(posterior.noise.degrees_of_freedom) if posterior.calibrated else 1.0
         found = worth * float(squared[nearest]) / usual
-        scale = replace(self, total=kept * (self.total + found), count=kept * (self.count + worth))
+        scale = unchecked_replace(self, total=kept * (self.total + found), count=kept * (self.count + worth))
         return scale._from(posterior, nearest)
 
     def _from(self, posterior: PosePosterior, place: int) -> ErrorScale:
         pose, covariance = posterior.means[place], posterior.covariances[place]
-        return replace(self, place=pose, covariance=covariance, since=None, normalized_distance=0.0)
+        return unchecked_replace(self, place=pose, covariance=covariance, since=None, normalized_distance=0.0)
 
 
 @cache

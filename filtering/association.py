@@ -7,12 +7,12 @@ Student's t filter for heavy tailed process and measurement noise", 2013; Plumme
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
-from scipy.special import gammaln
 
 from filtering.hypotheses import POSE, RIGHT, Hypotheses, along_map, blocks, concatenate, correlated_error
 from filtering.measurement import Measurement, PredictedMeasurement, kalman_update, predict_measurement
@@ -141,14 +141,13 @@ def correct(
     unseen[unseen <= _LEAST] = 0.0
     log_fraction[log_fraction <= np.log(_LEAST)] = -np.inf
     kept = unseen + np.bincount(hypothesis, np.exp(log_fraction), minlength=len(belief))
-    aside = np.flatnonzero(unseen)
-    as_it_was = belief[aside]
-    parts = [as_it_was.reweighted(np.log(unseen[aside] / kept[aside]))]
+    aside = unseen.nonzero()[0]
+    parts = [belief[aside].reweighted(np.log(unseen[aside] / kept[aside]))]
     log_fraction, begin = log_fraction - np.log(kept)[hypothesis], 0
     for each in pairs:
         own = log_fraction[begin : begin + len(each.place)]
         begin += len(each.place)
-        taken = np.flatnonzero(own > -np.inf)
+        taken = (own > -np.inf).nonzero()[0]
         if len(taken):
             parts.append(_corrected(belief, posterior.means, each, taken, own[taken]))
     return concatenate(parts)
@@ -172,13 +171,13 @@ def _shared_by_density(
         log_total: Of each hypothesis, of the image.
     """
     hypothesis, place, squared = (_joined(pairs, name) for name in ("hypothesis", "place", "squared"))
-    near = np.flatnonzero(squared < _SAME_PLACE)
+    near = (squared < _SAME_PLACE).nonzero()[0]
     if len(near) < 2 or np.bincount(place[near]).max() < 2:
         return belief
     at = np.full(len(belief), -1)
     likely = near[np.argsort(log_seen[near], kind="stable")]
     at[hypothesis[likely]] = place[likely]  # the most likely one comes last
-    own = np.flatnonzero(at >= 0)
+    own = (at >= 0).nonzero()[0]
     none, count = np.full(len(posterior.weights), -1e300), at[own]
     before = _log_total(belief.log_weights[own], count, none)
     after = _log_total(belief.log_weights[own] + _DENSITY * log_total[own], count, none)
@@ -210,7 +209,7 @@ def pair(
     difference = belief.poses[hypothesis].between(posterior.means[place]).log()
     correlated = belief.mean[:, slice(own.start - 6, own.stop - 6)][hypothesis]
     factors = along_map(posterior.factors[place], belief.poses.rotation[hypothesis])
-    factor = np.sqrt(of_source.correlated_fraction) * factors
+    factor = math.sqrt(of_source.correlated_fraction) * factors
     noise = (1.0 - of_source.correlated_fraction) * posterior.covariances[place]
     innovation = difference - (factor @ correlated[:, :, None])[:, :, 0]
     jacobian = ((POSE, None), (own, factor))
@@ -221,11 +220,11 @@ def pair(
     ordinary = 2.0 * np.log(posterior.noise.typical_std).sum()
     log_width = 0.5 * (log_det - np.maximum(np.linalg.slogdet(posterior.covariances)[1], ordinary)[place])
     nu = of_source.degrees_of_freedom
-    log_peak = gammaln((nu + 6) / 2) - gammaln(nu / 2) - 3 * np.log(nu * np.pi) - 0.5 * log_det
+    log_peak = math.lgamma((nu + 6) / 2) - math.lgamma(nu / 2) - 3 * math.log(nu * math.pi) - 0.5 * log_det
     # However little is known about where the camera is, it is in the map.
     log_density = np.maximum(log_peak, posterior.noise.log_clutter_density) - (nu + 6) / 2 * np.log1p(squared / nu)
     larger = (nu + squared) / (nu + 6)
-    far = np.flatnonzero(larger > UNUSUAL)
+    far = (larger > UNUSUAL).nonzero()[0]
     if len(far):
         # Errors that are correlated over a distance of 2 are worth one image: those of an Ornstein-Uhlenbeck process.
         lasts = max(1.0, 2.0 / max(correlation.normalized_distance, 1e-6))
@@ -255,7 +254,7 @@ def corrected_poses(
     difference, information = pairs.difference[taken], pairs.predicted.innovation_precision[taken]
     before, seen = poses[pairs.hypothesis[taken]], places[pairs.place[taken]]
     left = change - difference
-    left_squared, squared = (np.einsum("ni,nij,nj->n", each, information, each) for each in (left, change))
+    left_squared, squared = (np.vecdot(each, (information @ each[:, :, None])[:, :, 0]) for each in (left, change))
     from_place = left_squared < squared
     start = Poses(
         np.where(from_place[:, None, None], seen.rotation, before.rotation),

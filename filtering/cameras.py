@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -51,7 +52,7 @@ class Source:
     @property
     def unlinked(self) -> Source:
         """The same without the image that the next one is compared with."""
-        return replace(self, scale=replace(self.scale, place=None))
+        return unchecked_replace(self, scale=unchecked_replace(self.scale, place=None))
 
     def across_gap(self, motion: GapMotion) -> tuple[Source, float]:
         """After a motion of the camera without odometry; its normalized distance."""
@@ -61,19 +62,19 @@ class Source:
             tracker, unknown = tracker.after_unknown(motion.unknown_m, motion.unknown_rad)
             trackers.append(tracker)
             distances.append(likely + unknown)
-        return replace(self.unlinked, tracker=trackers[0], place_tracker=trackers[1]), distances[0]
+        return unchecked_replace(self.unlinked, tracker=trackers[0], place_tracker=trackers[1]), distances[0]
 
     def predict(self, camera_motion: Odometry) -> tuple[Source, float]:
         """After a motion of the camera; its normalized distance."""
         tracker, moved = self.tracker.predict(camera_motion.previous_from_current)
         place_tracker, _ = self.place_tracker.predict(camera_motion.previous_from_current)
         scale = self.scale.predict(camera_motion, moved)
-        return replace(self, tracker=tracker, place_tracker=place_tracker, scale=scale), moved
+        return unchecked_replace(self, tracker=tracker, place_tracker=place_tracker, scale=scale), moved
 
     def observe(self, posterior: PosePosterior) -> Source:
         """After an image with places of this source."""
         scale = self.scale.observe(posterior, self.tracker.normalized_distance)
-        return replace(self, tracker=self.tracker.observe()[0], scale=scale)
+        return unchecked_replace(self, tracker=self.tracker.observe()[0], scale=scale)
 
 
 @dataclass(frozen=True)
@@ -119,9 +120,10 @@ class CameraMemory:
         noise = view.posterior.noise.verified
         if noise is None or len(self.sources) > 1:
             return self
-        return replace(self, sources=(*self.sources, Source.first_seen(noise, number, unknown=unknown, adapts=adapts)))
+        landmarks = Source.first_seen(noise, number, unknown=unknown, adapts=adapts)
+        return unchecked_replace(self, sources=(*self.sources, landmarks))
 
-    @property
+    @cached_property
     def noise(self) -> MeasurementNoise:
         """Noise of its images, scaled by what odometry has shown."""
         network = self.sources[0].applied
@@ -131,7 +133,7 @@ class CameraMemory:
         """After a motion of the reference frame without odometry; its normalized distance by source."""
         camera_motion = motion.of_another_frame(self.reference_from_camera)
         after = [source.across_gap(camera_motion) for source in self.sources]
-        return replace(self, sources=tuple(source for source, _ in after)), [moved for _, moved in after]
+        return unchecked_replace(self, sources=tuple(source for source, _ in after)), [moved for _, moved in after]
 
     def has_extrinsics(self, reference_from_camera: Poses) -> bool:
         """Whether these are its extrinsics, so that the camera did not move on its mount."""
@@ -142,7 +144,7 @@ class CameraMemory:
         """After a motion on its mount, which is known exactly; its normalized distance by source."""
         moved = self.reference_from_camera.inverse() @ reference_from_camera
         camera, distances = self._after(Odometry(moved, np.zeros((6, 6)), 0.0))
-        return replace(camera, reference_from_camera=reference_from_camera), distances
+        return unchecked_replace(camera, reference_from_camera=reference_from_camera), distances
 
     def predict(self, odom: Odometry) -> tuple[CameraMemory, list[float]]:
         """After a motion of the reference frame; its normalized distance by source."""
@@ -151,7 +153,7 @@ class CameraMemory:
 
     def _after(self, camera_motion: Odometry) -> tuple[CameraMemory, list[float]]:
         after = [source.predict(camera_motion) for source in self.sources]
-        return replace(self, sources=tuple(source for source, _ in after)), [moved for _, moved in after]
+        return unchecked_replace(self, sources=tuple(source for source, _ in after)), [moved for _, moved in after]
 
     def observe(self, posterior: PosePosterior) -> tuple[CameraMemory, float, float]:
         """After an image; sources without a place in it stay as they are.
@@ -166,6 +168,6 @@ class CameraMemory:
             observes = has_places or number == 0
             place_tracker, new = source.place_tracker.observe() if observes else (source.place_tracker, 0.0)
             source = source.observe(posterior.of_source(number)) if has_places else source
-            after.append(replace(source, place_tracker=place_tracker))
+            after.append(unchecked_replace(source, place_tracker=place_tracker))
             novelty.append(new)
-        return replace(self, sources=tuple(after)), novelty[0], novelty[1 if posterior.has_verified else 0]
+        return unchecked_replace(self, sources=tuple(after)), novelty[0], novelty[1 if posterior.has_verified else 0]

@@ -297,20 +297,20 @@ def describe_modes(
         config: Which hypotheses make one mode.
         calibrated: Whether the images have Student t tails, see `PosePosterior.calibrated`.
     """
-    weights = belief.weights
-    least = min(config.min_weight, float(weights.max()))
+    weights, covariances = belief.weights, belief.pose_covariance
+    reach = config.reach(noise, covariances)
+    free = (-weights).argsort(kind="stable")
+    least = min(config.min_weight, float(weights[free[0]]))
     found: list[Int64[np.ndarray, " m"]] = []  # the hypotheses of each mode, the heaviest first
     offsets: list[Float64[np.ndarray, "m 6"]] = []  # of each from the heaviest
-    free = np.argsort(-weights, kind="stable")
     while len(free) and weights[free].sum() >= least and len(found) < 2 * config.max_modes:
-        reach = config.reach(noise, belief.pose_covariance[free[0]])
-        own, offset = _in_place_of_first(belief.poses[free], reach)
+        own, offset = _in_place_of_first(belief.poses, free, reach[free[0]])
         found.append(free[own])
         offsets.append(offset)
-        free = free[~own]
+        free = np.delete(free, own)
     members, starts = np.concatenate(found), np.cumsum([0, *map(len, found[:-1])])
     totals, means, covariances = mixture_moments(
-        weights[members], np.concatenate(offsets), belief.pose_covariance[members], starts
+        weights[members], np.concatenate(offsets), covariances[members], starts
     )
     poses = belief.poses[members[starts]] @ Poses.exp(means)
     nu = _degrees_of_freedom(covariances, noise) if calibrated else np.full(len(poses), np.inf)
@@ -341,22 +341,22 @@ def _degrees_of_freedom(
 
 
 def _in_place_of_first(
-    poses: Poses, reach: Float64[np.ndarray, " 6"]
-) -> tuple[Bool[np.ndarray, " n"], Float64[np.ndarray, "m 6"]]:
-    """Which poses are in the place of the first one, itself included, and where there each of these m is."""
-    away = poses.translation - poses.translation[0]
-    near = np.flatnonzero(np.vecdot(away, away) < _MARGIN * reach[:3].max() ** 2)  # `log` is never shorter
-    offset = poses[0].between(poses[near]).log()
+    poses: Poses, free: Int64[np.ndarray, " n"], reach: Float64[np.ndarray, " 6"]
+) -> tuple[Int64[np.ndarray, " m"], Float64[np.ndarray, "m 6"]]:
+    """Which of the free poses are in the place of the first one, itself included, and where there each of these is."""
+    first, at = poses[free[0]], poses.translation[free]
+    away = at - first.translation
+    near = (np.vecdot(away, away) < _MARGIN * max(reach[:3]) ** 2).nonzero()[0]  # `log` is never shorter
+    offset = first.between(poses[free[near]]).log()
     within = _within(offset, reach)
-    own = np.zeros(len(poses), bool)
     within[0] = True
-    own[near] = within
-    return own, offset[within]
+    return near[within], offset[within]
 
 
 def _within(offset: Float64[np.ndarray, "*n 6"], reach: Float64[np.ndarray, " 6"]) -> Bool[np.ndarray, "*n"]:
-    squared = np.square(offset / reach)
-    return np.asarray((squared[..., :3].sum(axis=-1) <= 1.0) & (squared[..., 3:].sum(axis=-1) <= 1.0))
+    away = offset / reach
+    metres, radians = away[..., :3], away[..., 3:]
+    return np.asarray((np.vecdot(metres, metres) <= 1.0) & (np.vecdot(radians, radians) <= 1.0))
 
 
 def posterior_modes(posterior: PosePosterior) -> tuple[Mode, ...]:

@@ -6,8 +6,9 @@ Sources: Doucet, de Freitas, Murphy and Russell, "Rao-Blackwellised particle fil
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -58,9 +59,9 @@ def blocks(count: int) -> Iterator[slice]:
 def log_sum(log_values: Float64[np.ndarray, " n"]) -> float:
     """Log of the sum of exp(values) (n,), n ≥ 1."""
     largest = float(log_values.max())
-    if not np.isfinite(largest):
+    if not math.isfinite(largest):
         return largest
-    return largest + float(np.log(np.exp(log_values - largest).sum()))
+    return largest + math.log(np.exp(log_values - largest).sum())
 
 
 @dataclass(frozen=True)
@@ -127,8 +128,8 @@ class Hypotheses:
             )
         return unchecked_replace(self, log_weights=log_weights - total)
 
-    def reweighted(self, log_factors: Float64[np.ndarray, " n"]) -> Hypotheses:
-        """The same with weights times factors (n,), not normalised."""
+    def reweighted(self, log_factors: Float64[np.ndarray, " n"] | float) -> Hypotheses:
+        """The same with weights times factors, of all or of each (n,), not normalised."""
         return unchecked_replace(self, log_weights=self.log_weights + log_factors)
 
     def normalized(self) -> Hypotheses:
@@ -178,12 +179,14 @@ def birth(
     covariance[:, POSE, POSE] = posterior.covariances
     for source, number in enumerate((camera, camera if landmarks is None else landmarks)):
         places, own = posterior.sources[source], correlated_error(number)
+        if len(places) == 0:
+            continue
         factors = along_map(posterior.factors[places], posterior.means.rotation[places])
         shared = -np.sqrt(posterior.noise_of(source).correlated_fraction) * factors
         covariance[places, POSE, own] = shared
         covariance[places, own, POSE] = np.swapaxes(shared, 1, 2)
     shares = posterior.shares
-    places = np.flatnonzero(shares)
+    places = shares.nonzero()[0]
     born = Hypotheses(posterior.means, mean, covariance, np.zeros(count), np.full(count, RIGHT))
     return born[places].with_log_weights(np.log(shares[places]))
 
@@ -193,12 +196,13 @@ def odometry_bias_of(belief: Hypotheses) -> tuple[Float64[np.ndarray, " 7"], Flo
 
     Where it is right for none, the scale error is that of the heaviest one, and the drift is unknown.
     """
-    right = belief.regime == RIGHT
-    heaviest = int(np.argmax(np.where(right | ~right.any(), belief.log_weights, -np.inf)))
-    mean, covariance = belief.mean[heaviest, :7].copy(), belief.covariance[heaviest, BIAS, BIAS].copy()
-    if not right[heaviest]:
-        mean[1:], covariance[1:], covariance[:, 1:] = 0.0, 0.0, 0.0
-        covariance[1:, 1:] = np.eye(6)
+    right = (belief.regime == RIGHT).nonzero()[0]
+    if len(right):
+        heaviest = right[belief.log_weights[right].argmax()]
+        return belief.mean[heaviest, :7], belief.covariance[heaviest, BIAS, BIAS]
+    heaviest = belief.log_weights.argmax()
+    mean, covariance = np.zeros(7), np.eye(7)
+    mean[0], covariance[0, 0] = belief.mean[heaviest, 0], belief.covariance[heaviest, BIAS.start, BIAS.start]
     return mean, covariance
 
 
@@ -206,11 +210,18 @@ def with_drift(
     hypotheses: Hypotheses, mean: Float64[np.ndarray, " 6"], covariance: Float64[np.ndarray, "6 6"]
 ) -> Hypotheses:
     """The same with another drift, which is not correlated with the rest of the state."""
-    means, covariances = hypotheses.mean.copy(), hypotheses.covariance.copy()
-    means[:, DRIFT.start - 6 : DRIFT.stop - 6] = mean
-    covariances[:, DRIFT] = covariances[:, :, DRIFT] = 0.0
-    covariances[:, DRIFT, DRIFT] = covariance
-    return replace(hypotheses, mean=means, covariance=covariances)
+    after = unchecked_replace(hypotheses, mean=hypotheses.mean.copy(), covariance=hypotheses.covariance.copy())
+    set_drift(after, mean, covariance)
+    return after
+
+
+def set_drift(
+    hypotheses: Hypotheses, mean: Float64[np.ndarray, " 6"] | float, covariance: Float64[np.ndarray, "6 6"]
+) -> None:
+    """As `with_drift`, in place."""
+    hypotheses.mean[:, DRIFT.start - 6 : DRIFT.stop - 6] = mean
+    hypotheses.covariance[:, DRIFT] = hypotheses.covariance[:, :, DRIFT] = 0.0
+    hypotheses.covariance[:, DRIFT, DRIFT] = covariance
 
 
 def without_correlation(covariance: Float64[np.ndarray, "n d d"], camera: int) -> Float64[np.ndarray, "n d d"]:
@@ -227,4 +238,4 @@ def with_source(hypotheses: Hypotheses) -> Hypotheses:
     covariance[:, :size, :size] = hypotheses.covariance
     covariance[:, range(size, size + 6), range(size, size + 6)] = 1.0
     mean = np.concatenate([hypotheses.mean, np.zeros((count, 6))], axis=1)
-    return replace(hypotheses, mean=mean, covariance=covariance)
+    return unchecked_replace(hypotheses, mean=mean, covariance=covariance)

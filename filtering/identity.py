@@ -65,7 +65,7 @@ class KnownModes:
         if len(self) == 0:
             return self
         moves = self._heaviest(before, noise, config)
-        lone = np.flatnonzero(moves < 0)
+        lone = (moves < 0).nonzero()[0]
         if len(lone):
             metres_sq, turned = self.poses[lone].squared_distances(before.poses)
             moves[lone] = np.argmin(metres_sq + turned, axis=1)
@@ -109,13 +109,14 @@ class KnownModes:
             config: Which hypotheses make one mode.
         """
         poses = Poses.stack([mode.world_from_camera for mode in modes])
-        reach = config.reach(noise, np.stack([mode.covariance for mode in modes]))
-        row, column = np.divmod(np.arange(len(modes) * len(self)), max(len(self), 1))
-        offset = np.square(poses[row].between(self.poses[column]).log() / reach[row])
-        apart = np.maximum(offset[:, :3].sum(axis=1), offset[:, 3:].sum(axis=1)).reshape(len(modes), len(self))
-        known = _nearest(apart, self.log_weights)
+        reach = config.reach(noise, np.array([mode.covariance for mode in modes]))
+        each = Poses(poses.rotation[:, None], poses.translation[:, None])
+        offset = each.between(self.poses).log() / reach[:, None]
+        metres, radians = offset[..., :3], offset[..., 3:]
+        apart = np.maximum(np.vecdot(metres, metres), np.vecdot(radians, radians))
+        known = _nearest(apart.tolist(), self.log_weights)
         found, next_identity = [], self.next_identity
-        for mode, of in zip(modes, known.tolist(), strict=True):
+        for mode, of in zip(modes, known, strict=True):
             if of < 0:
                 found.append(unchecked_replace(mode, identity=next_identity))
                 next_identity += 1
@@ -125,7 +126,7 @@ class KnownModes:
             found.append(unchecked_replace(mode, identity=int(self.identities[of]), innovation=innovation))
         identities = np.array([mode.identity for mode in found])
         log_weights = np.log(np.maximum([mode.weight for mode in modes], 1e-300))
-        unreported = np.flatnonzero((apart > 1.0).all(axis=0))
+        unreported = (apart > 1.0).all(axis=0).nonzero()[0]
         if len(unreported):
             rest = unchecked_replace(
                 self,
@@ -134,13 +135,13 @@ class KnownModes:
                 identities=self.identities[unreported],
             )
             heaviest = rest._heaviest(belief, noise, config)
-            kept = np.flatnonzero(heaviest >= 0)[: config.max_modes]
+            kept = (heaviest >= 0).nonzero()[0][: config.max_modes]
             poses = Poses.concatenate([poses, belief.poses[heaviest[kept]]])
             identities = np.concatenate([identities, rest.identities[kept]])
             log_weights = np.concatenate([log_weights, belief.log_weights[heaviest[kept]]])
-        none = np.zeros(len(identities))
+        count = len(identities)
         return tuple(found), KnownModes(
-            poses, log_weights, identities, none, none.astype(np.int64), self.best, next_identity
+            poses, log_weights, identities, np.zeros(count), np.zeros(count, np.int64), self.best, next_identity
         )
 
     def _heaviest(self, belief: Hypotheses, noise: MeasurementNoise, config: ModeConfig) -> Int64[np.ndarray, " k"]:
@@ -154,12 +155,11 @@ class KnownModes:
         return np.where(own.any(axis=1), heaviest, -1)
 
 
-def _nearest(apart: Float64[np.ndarray, "m k"], log_weights: Float64[np.ndarray, " k"]) -> Int64[np.ndarray, " m"]:
+def _nearest(apart: list[list[float]], log_weights: Float64[np.ndarray, " k"]) -> list[int]:
     """For each of m modes the known one that goes on in it, at most 1 apart; -1 for none."""
-    known = np.full(len(apart), -1)
-    for of in np.argsort(-log_weights, kind="stable").tolist():
-        free = np.where(known < 0, apart[:, of], np.inf)
-        nearest = int(free.argmin())
-        if free[nearest] <= 1.0:
-            known[nearest] = of
+    known = [-1] * len(apart)
+    for of in (-log_weights).argsort(kind="stable").tolist():
+        free = [k for k, other in enumerate(known) if other < 0 and apart[k][of] <= 1.0]
+        if free:
+            known[min(free, key=lambda k: apart[k][of])] = of
     return known

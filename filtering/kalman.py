@@ -202,8 +202,8 @@ class KalmanLocalizer:
         distances = {source.number: moved for source, moved in after}
         if self._vertical is not None:
             self._vertical, distances[self._vertical.number] = self._vertical.predict(distances[0])
-        transition, noise = motion_of_state(odom, bias, [distances[number] for number in sorted(distances)])
-        self._filter.predict(F=transition, Q=noise)
+        motion = motion_of_state(odom, bias, [distances[number] for number in sorted(distances)])
+        self._filter.predict(F=motion.transition, Q=motion.noise)
         settle(self._filter.P)
         limit_rotation(self._filter.P[None])
         self._fold((pose @ odom.previous_from_current).orthonormal())

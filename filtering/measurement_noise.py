@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -139,15 +140,17 @@ class MeasurementNoise:
         With a map of landmarks they are those of the pose, at least of a verified place, at most of another place.
         """
         if self.verified is None:
-            return np.broadcast_to(np.asarray(self.typical_std), covariance.shape[:-1])
+            return np.full(covariance.shape[:-1], self.typical_std)
         std = np.sqrt(np.maximum(np.einsum("...ii->...i", covariance), 0.0))
         finest = np.asarray(self.verified.typical_std)
         return np.clip(std, finest, np.maximum(finest, self.typical_std))
 
     def constant_covariance(self, covariance: Float64[np.ndarray, "*n 6 6"]) -> Float64[np.ndarray, "*n 6 6"]:
         """Covariance of the constant errors, which is added to a belief with this covariance (any batch)."""
-        variances = self.finest.constant_fraction * np.square(self.ordinary_std(covariance))
-        return variances[..., None] * np.eye(6)
+        constant = np.zeros(covariance.shape)
+        axes = np.einsum("...ii->...i", constant)  # a view
+        axes += self.finest.constant_fraction * np.square(self.ordinary_std(covariance))
+        return constant
 
     @property
     def map_size_m(self) -> float:
@@ -158,9 +161,9 @@ class MeasurementNoise:
         """The same with variances times a factor."""
         if factor == 1.0:
             return self
-        root = float(np.sqrt(factor))
-        noise_floor = tuple(root * value for value in self.noise_floor)
-        typical = tuple(root * value for value in self.typical_std)
+        root = math.sqrt(factor)
+        noise_floor = tuple([root * value for value in self.noise_floor])
+        typical = tuple([root * value for value in self.typical_std])
         return unchecked_replace(self, spread=factor * self.spread, noise_floor=noise_floor, typical_std=typical)
 
     def scaled(self, factor: float) -> MeasurementNoise:

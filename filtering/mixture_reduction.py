@@ -18,72 +18,64 @@ from filtering.se3 import Poses
 _NEAR = 4.0  # squared, in standard deviations: hypotheses further apart are not merged
 
 
-def reduce_mixture(
-    hypotheses: Hypotheses,
-    *,
-    divergence: float,
-    least_weight: float,
-    most: int,
-    resampling: Resampling,
-    rng: np.random.Generator,
-) -> Hypotheses:
-    """Prune, merge and resample hypotheses; the result is sorted by falling weight.
+def reduce_mixture(hypotheses: Hypotheses, *, divergence: float, least_weight: float) -> Hypotheses:
+    """Prune and merge hypotheses; the result is sorted by falling weight.
 
     A hypothesis is merged into a heavier one that describes its pose as well: the Kullback-Leibler divergence of its
     Gaussian from the other's is small, and odometry has one regime in both. Merging keeps mean and covariance.
-    Hypotheses lighter than `least_weight` are pruned. If more than `most` are left, they are resampled.
 
     Args:
         hypotheses: With normalised weights, (n,).
         divergence: Largest one of a merge, nats.
-        least_weight: As a fraction of all weight.
-        most: Largest number of hypotheses.
+        least_weight: As a fraction of all weight; lighter hypotheses are pruned.
+    """
+    order = _by_falling_weight(hypotheses.log_weights)
+    log_weights = hypotheses.log_weights[order]
+    least = np.log(least_weight) if least_weight > 0.0 else -np.inf
+    h = hypotheses[order[log_weights > min(least, log_weights[0] - 1.0)]]  # the heaviest always stays
+    if divergence > 0.0:
+        h = _merged(h, _leaders(h, divergence))
+    return h.normalized()
+
+
+def resample(hypotheses: Hypotheses, count: int, resampling: Resampling, *, rng: np.random.Generator) -> Hypotheses:
+    """Fewer hypotheses, sorted by falling weight.
+
+    Args:
+        hypotheses: With normalised weights, more than `count`.
+        count: How many are left.
         resampling: Name of a way to resample, see `RESAMPLING`.
         rng: Source of its draws.
     """
-    h, order = hypotheses, _by_falling_weight(hypotheses.log_weights)
-    least = np.log(least_weight) if least_weight > 0.0 else -np.inf
-    order = order[h.log_weights[order] > min(least, h.log_weights[order[0]] - 1.0)]  # the heaviest always stays
-    if divergence > 0.0:
-        h = h[order]
-        h = _merged(h, _leaders(h, divergence))
-        order = _by_falling_weight(h.log_weights)
-    log_weights = h.log_weights[order]
-    if len(order) > most:
-        kept, log_weights = RESAMPLING[resampling](log_weights, most, rng=rng)
-        again = _by_falling_weight(log_weights)
-        order, log_weights = order[kept[again]], log_weights[again]
-    return h[order].with_log_weights(log_weights)
+    kept, log_weights = RESAMPLING[resampling](hypotheses.log_weights, count, rng=rng)
+    order = _by_falling_weight(log_weights)
+    return hypotheses[kept[order]].with_log_weights(log_weights[order])
 
 
 def _by_falling_weight(log_weights: Float64[np.ndarray, " n"]) -> Int64[np.ndarray, " n"]:
-    return np.argsort(-log_weights, kind="stable")
+    return (-log_weights).argsort(kind="stable")
 
 
 def _leaders(h: Hypotheses, divergence: float) -> Int64[np.ndarray, " n"]:
     """For every hypothesis, by falling weight, the heavier one that it is merged into, or itself."""
-    count, covariance = len(h), h.pose_covariance
-    leader = np.arange(count)
+    leader, covariance = list(range(len(h))), h.pose_covariance
     # A divergence is at least half the squared distance.
-    heavy, light = np.nonzero(np.triu(_near(h, min(_NEAR, 2.0 * divergence)), 1))
+    heavy, light = _near(h, min(_NEAR, 2.0 * divergence)).nonzero()
+    alike = (heavy < light) & (h.regime[heavy] == h.regime[light])
+    heavy, light = heavy[alike], light[alike]
     if len(heavy) == 0:
-        return leader
-    information = np.linalg.inv(covariance)
+        return np.array(leader)
+    leads = np.bincount(heavy).nonzero()[0]
+    information = np.linalg.inv(covariance[leads]).reshape(-1, 36)[leads.searchsorted(heavy)]
     log_det = np.linalg.slogdet(covariance)[1]
     offset = h.poses[heavy].between(h.poses[light]).log()
     second_moment = covariance[light] + offset[:, :, None] * offset[:, None, :]
-    trace = np.vecdot(information.reshape(-1, 36)[heavy], second_moment.reshape(-1, 36))
+    trace = np.vecdot(information, second_moment.reshape(-1, 36))
     close = 0.5 * (trace - 6.0 + log_det[heavy] - log_det[light]) < divergence
-    close &= h.regime[heavy] == h.regime[light]
-    described = np.zeros((count, count), bool)
-    described[heavy[close], light[close]] = True
-    free = np.ones(count, bool)
-    for i in np.flatnonzero(described.any(axis=1)):
-        if free[i]:
-            members = described[i] & free
-            leader[members] = i
-            free &= ~members
-    return leader
+    for i, j in zip(heavy[close].tolist(), light[close].tolist(), strict=True):  # the heaviest first
+        if leader[i] == i and leader[j] == j:
+            leader[j] = i
+    return np.array(leader)
 
 
 def _near(h: Hypotheses, reach: float) -> Bool[np.ndarray, "n n"]:
@@ -93,20 +85,25 @@ def _near(h: Hypotheses, reach: float) -> Bool[np.ndarray, "n n"]:
 
 
 def _merged(h: Hypotheses, leader: Int64[np.ndarray, " n"]) -> Hypotheses:
-    """One hypothesis for each leader, with the mean and covariance of those that it leads."""
-    leads = leader == np.arange(len(h))
-    if leads.all():
+    """One hypothesis for each leader, with the mean and covariance of those that it leads, by falling weight."""
+    members = (np.bincount(leader, minlength=len(h))[leader] > 1).nonzero()[0]
+    if len(members) == 0:
         return h
-    members = np.flatnonzero(np.bincount(leader, minlength=len(h))[leader] > 1)
-    members = members[np.argsort(leader[members], kind="stable")]  # group by group, the leader first
-    starts = np.flatnonzero(np.diff(leader[members], prepend=-1))
+    members = members[leader[members].argsort(kind="stable")]  # group by group, the leader first
     first = leader[members]
+    starts = np.diff(first, prepend=-1).nonzero()[0]
     offset = np.concatenate([h.poses[first].between(h.poses[members]).log(), h.mean[members] - h.mean[first]], axis=1)
     total, mean, covariance = mixture_moments(h.weights[members], offset, h.covariance[members], starts)
-    poses = h.poses[first[starts]] @ Poses.exp(mean[:, POSE])
+    leads = first[starts]
+    poses = h.poses[leads] @ Poses.exp(mean[:, POSE])
 
-    merged = h[np.flatnonzero(leads)]
-    at = (np.cumsum(leads) - 1)[first[starts]]
+    log_weights = h.log_weights.copy()
+    log_weights[leads] = np.log(total)
+    kept = (leader == np.arange(len(h))).nonzero()[0]
+    kept = kept[_by_falling_weight(log_weights[kept])]
+    position = np.empty(len(h), np.int64)
+    position[kept] = np.arange(len(kept))
+    merged, at = h[kept], position[leads]
     merged.poses.rotation[at], merged.poses.translation[at] = poses.rotation, poses.translation
     merged.mean[at] += mean[:, 6:]
     merged.covariance[at], merged.log_weights[at] = covariance, np.log(total)

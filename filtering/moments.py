@@ -95,12 +95,15 @@ def mixture_moments(
         covariances: Of the components, (n, d, d).
         starts: First component of every mixture, increasing from 0, (k,).
     """
-    sizes = np.diff(starts, append=len(weights))
+    count = len(weights)
+    mixture = np.bincount(starts, minlength=count).cumsum() - 1  # of each component
     totals = np.add.reduceat(weights, starts)
     none = totals <= 0.0
-    fractions = (weights + np.repeat(none, sizes)) / np.repeat(np.where(none, sizes, totals), sizes)
-    fractions = fractions[:, None]
+    weights = np.where(none[mixture], 1.0, weights)
+    fractions = (weights / np.add.reduceat(weights, starts)[mixture])[:, None]
     middle = np.add.reduceat(fractions * means, starts)
-    residual = means - np.repeat(middle, sizes, axis=0)
-    spread = covariances + residual[:, :, None] * residual[:, None, :]
-    return totals, middle, np.add.reduceat(fractions[:, :, None] * spread, starts)
+    residual = means - middle[mixture]
+    spread = residual[:, :, None] * residual[:, None, :]
+    spread += covariances
+    spread *= fractions[:, :, None]
+    return totals, middle, np.add.reduceat(spread, starts)

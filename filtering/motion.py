@@ -12,6 +12,7 @@ from jaxtyping import Float64
 
 from filtering.errors import VaporTrackError, require_within
 from filtering.se3 import Poses, require_one_pose
+from filtering.unchecked import unchecked_replace
 
 _LEAST_SCALE = 0.1
 _WALK_M_PER_S = 1.5  # along each axis, of a motion of which the rotation alone is known
@@ -51,7 +52,9 @@ class Odometry:
     @staticmethod
     def still(duration_s: float = 0.0) -> Odometry:
         """No motion, and no error."""
-        return Odometry(Poses.identity(), np.zeros((6, 6)), duration_s)
+        still = Odometry(Poses.identity(), np.zeros((6, 6)), duration_s)
+        vars(still).update(tangent=np.zeros(6), carry=np.eye(6), noise=np.zeros((6, 6)))
+        return still
 
     @staticmethod
     def turn(rotation: Poses, covariance: Float64[np.ndarray, "3 3"], duration_s: float) -> Odometry:
@@ -139,7 +142,9 @@ class Odometry:
             return self
         tangent = self.tangent.copy()
         tangent[:3] *= factor
-        return replace(self, previous_from_current=Poses.exp(tangent))
+        rescaled = unchecked_replace(self, previous_from_current=Poses.exp(tangent))
+        vars(rescaled)["tangent"] = tangent
+        return rescaled
 
     def part(self, fraction: float) -> Odometry:
         """The first part of this motion, a fraction of its duration, as if twist and noise were constant along it."""

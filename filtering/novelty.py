@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from filtering.se3 import Poses
+from filtering.unchecked import unchecked_replace
 
 _REMEMBERED = 60  # views
 _STEP = 0.1  # of a length: less is jitter
@@ -50,27 +51,27 @@ class NoveltyTracker:
         distance = float(self._lengths(self.anchor, pose))
         moved = max(distance - self.reached, 0.0)
         in_all = self.normalized_distance + moved
-        if distance >= _STEP:
-            return replace(self, pose=pose, anchor=pose, reached=0.0, normalized_distance=in_all), moved
-        return replace(self, pose=pose, reached=max(self.reached, distance), normalized_distance=in_all), moved
+        anchor, reached = (pose, 0.0) if distance >= _STEP else (self.anchor, max(self.reached, distance))
+        after = unchecked_replace(self, pose=pose, anchor=anchor, reached=reached, normalized_distance=in_all)
+        return after, moved
 
     def after_unknown(self, distance_m: float, angle_rad: float) -> tuple[NoveltyTracker, float]:
         """The same after a motion of which only the likely distance and angle are known."""
         moved = float(np.hypot(distance_m / self.length_m, angle_rad / self.length_rad))
         in_all = self.normalized_distance + moved
-        return replace(self, unknown=self.unknown + moved, normalized_distance=in_all), moved
+        return unchecked_replace(self, unknown=self.unknown + moved, normalized_distance=in_all), moved
 
     def observe(self) -> tuple[NoveltyTracker, float]:
         """The tracker after an image, and the novelty of its view, in [0, 1]."""
         distance = float(self._lengths(self.views, self.pose).min()) + self.unknown
         novelty = min(max(distance - self.spent, 0.0), 1.0)
         if distance < 1.0:
-            return replace(self, spent=max(self.spent, distance), normalized_distance=0.0), novelty
+            return unchecked_replace(self, spent=max(self.spent, distance), normalized_distance=0.0), novelty
         # What lies before a gap is nowhere in particular.
         before = self.views if self.unknown == 0.0 else Poses.identity(0)
         here = Poses(self.pose.rotation[None], self.pose.translation[None])
         views = Poses.concatenate([before, here])[-_REMEMBERED:]
-        return replace(self, views=views, spent=0.0, unknown=0.0, normalized_distance=0.0), novelty
+        return unchecked_replace(self, views=views, spent=0.0, unknown=0.0, normalized_distance=0.0), novelty
 
     def _lengths(self, one: Poses, other: Poses) -> np.ndarray:
         translation_m, rotation_rad = one.distance(other)

@@ -127,11 +127,12 @@ class HeightMap:
         plan = offset - (offset @ up)[:, :, None] * up
         middle, mean_m = plan.mean(axis=1), heights_m.mean(axis=1)
         plan = plan - middle[:, None]
-        information = np.einsum("pki,pkj->pij", plan, plan) + stiffness * np.eye(3)
-        slope = np.linalg.solve(information, np.einsum("pki,pk->pi", plan, heights_m - mean_m[:, None])[..., None])
-        slope = slope[..., 0] - (slope[..., 0] @ up)[:, None] * up
+        covariance = np.linalg.inv(np.einsum("pki,pkj->pij", plan, plan) + stiffness * np.eye(3))
+        steepest = np.einsum("pki,pk->pi", plan, heights_m - mean_m[:, None])
+        slope = np.einsum("pij,pj->pi", covariance, steepest)
+        slope = slope - (slope @ up)[:, None] * up
         residual = heights_m - mean_m[:, None] - np.einsum("pki,pi->pk", plan, slope)
-        leverage = 1.0 / near.shape[1] + np.einsum("pi,pij,pj->p", middle, np.linalg.inv(information), middle)
+        leverage = 1.0 / near.shape[1] + np.einsum("pi,pij,pj->p", middle, covariance, middle)
         height_m = mean_m - np.einsum("pi,pi->p", middle, slope)
         return _Planes(height_m, slope, np.mean(np.square(residual), axis=1), leverage)
 

@@ -269,9 +269,9 @@ class PosePosterior:
     def sources(self) -> tuple[Int64[np.ndarray, " a"], Int64[np.ndarray, " b"]]:
         """Indices of the places of some weight that the network proposes, and of those that landmarks have verified."""
         if self.verified is None:
-            return np.flatnonzero(self.weights), np.empty(0, np.int64)
+            return self.weights.nonzero()[0], np.empty(0, np.int64)
         possible = self.weights > 0.0
-        return np.flatnonzero(~self.verified & possible), np.flatnonzero(self.verified & possible)
+        return (~self.verified & possible).nonzero()[0], (self.verified & possible).nonzero()[0]
 
     def noise_of(self, source: int) -> MeasurementNoise:
         """Noise of the places of a source, by its number in `sources`."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -20,7 +21,7 @@ from filtering.hypotheses import (
     blocks,
     concatenate,
     odometry_bias_of,
-    with_drift,
+    set_drift,
 )
 from filtering.measurement_noise import MeasurementNoise
 from filtering.moments import settle
@@ -37,12 +38,32 @@ _FASTEST = 1e6  # metres a second
 _VIEWS_PER_S = 2.0  # standard deviation of the speed along each axis where odometry is useless, in new views
 _SLIP_PER_S = 0.15  # new views: biased odometry errs by so many
 _FARTHEST = 1e6  # standard deviations of the drift
+_AXES, _DRIFTS = np.arange(6), np.arange(DRIFT.start, DRIFT.stop)
 
 
-def motion_of_state(
-    odometry: Odometry, odometry_bias: OdometryBias, distances: Sequence[float]
-) -> tuple[Float64[np.ndarray, "d d"], Float64[np.ndarray, "d d"]]:
-    """The linear transition of a state by a motion, and the covariance of the noise that the motion adds.
+class StateMotion(NamedTuple):
+    """What a motion does to a state of size d, linearly: x' = F x + w.
+
+    Attributes:
+        pose: The rows of F for the error of the pose, which pose and odometry bias lead to; the others are 0, (6, 13).
+        kept: The diagonal of F for the rest of the state; its rows have nothing else, (d − 6,).
+        noise: Covariance of w, (d, d).
+    """
+
+    pose: Float64[np.ndarray, "6 13"]
+    kept: Float64[np.ndarray, " m"]
+    noise: Float64[np.ndarray, "d d"]
+
+    @property
+    def transition(self) -> Float64[np.ndarray, "d d"]:
+        """F as one matrix."""
+        transition = np.diag(np.concatenate([np.zeros(6), self.kept]))
+        transition[POSE, :13] = self.pose
+        return transition
+
+
+def motion_of_state(odometry: Odometry, odometry_bias: OdometryBias, distances: Sequence[float]) -> StateMotion:
+    """The motion of a state.
 
     The pose moves by the increment; the transition gives its error relative to that.
 
@@ -51,29 +72,18 @@ def motion_of_state(
         odometry_bias: Its bias.
         distances: Normalized distance that the camera of each source moved.
     """
-    size = 13 + 6 * len(distances)
     duration_s = min(odometry.duration_s, _LONGEST_S)
     times = duration_s / odometry_bias.time_s
-    keeps, lasting = np.exp(-times), _lasting(times)
-    drift = drift_of(odometry, odometry_bias)
-    errs = _errors_of(odometry, odometry_bias)
-    kept = np.ones(size - 6)
-    kept[0] = np.exp(-duration_s / odometry_bias.scale_time_s)
-    kept[1:7] = keeps
-    for source, distance in enumerate(distances):
-        kept[7 + 6 * source : 13 + 6 * source] = np.exp(-distance)
-    transition = np.zeros((size, size))
-    transition[POSE, POSE] = odometry.carry
-    transition[POSE, BIAS] = errs
-    rest = np.arange(6, size)
-    transition[rest, rest] = kept
-    noise = np.zeros((size, size))
-    noise[POSE, POSE] = odometry.noise + np.diag(drift**2) * _integrated(times)
-    noise[rest, rest] = 1.0 - kept**2
-    noise[6, 6] *= odometry_bias.scale**2
+    lasting, drift = _lasting(times), drift_of(odometry, odometry_bias)
+    fades = [duration_s / odometry_bias.scale_time_s, times, *distances]
+    kept = np.exp(np.negative(fades)).repeat([1] + [6] * (len(fades) - 1))
+    changes = 1.0 - kept**2
+    changes[0] *= odometry_bias.scale**2
+    noise = np.diag(np.concatenate([drift**2 * _integrated(times), changes]))
+    noise[POSE, POSE] += odometry.noise
     # The drift changes during the motion: integrals of an Ornstein-Uhlenbeck process.
-    noise[POSE, DRIFT] = noise[DRIFT, POSE] = -np.diag(drift) * lasting**2 * times
-    return transition, noise
+    noise[_AXES, _DRIFTS] = noise[_DRIFTS, _AXES] = -drift * lasting**2 * times
+    return StateMotion(np.concatenate([odometry.carry, _errors_of(odometry, odometry_bias)], axis=1), kept, noise)
 
 
 def _lasting(times: float) -> float:
@@ -86,7 +96,7 @@ def _errors_of(odometry: Odometry, odometry_bias: OdometryBias) -> Float64[np.nd
     duration_s = min(odometry.duration_s, _LONGEST_S)
     errs = np.zeros((6, 7))
     errs[:3, 0] = -odometry.tangent[:3]
-    errs[:, 1:] = -np.diag(_lasting(duration_s / odometry_bias.time_s) * drift_of(odometry, odometry_bias))
+    errs[_AXES, _AXES + 1] = -_lasting(duration_s / odometry_bias.time_s) * drift_of(odometry, odometry_bias)
     return errs
 
 
@@ -113,17 +123,10 @@ def predict(
         odometry_bias: Its bias.
         distances: Normalized distance that the camera of each source moved.
     """
-    transition, noise = motion_of_state(odometry, odometry_bias, distances)
-    step = odometry.previous_from_current
-    kept = np.diag(transition)[6:]
-    poses = hypotheses.poses @ (step @ Poses.exp(hypotheses.mean[:, :7] @ transition[POSE, BIAS].T))
-    covariance = _carried(hypotheses.covariance, transition[POSE, :13], kept)
-    covariance[:, :6] += noise[:6]
-    covariance[:, DRIFT, POSE] += noise[DRIFT, POSE]
-    rest = np.arange(6, len(noise))
-    covariance[:, rest, rest] += np.diag(noise)[6:]
-    poses, mean = poses.orthonormal(), hypotheses.mean * kept
-    return unchecked_replace(hypotheses, poses=poses, mean=mean, covariance=covariance)
+    motion, increment = motion_of_state(odometry, odometry_bias, distances), odometry.previous_from_current
+    poses = hypotheses.poses @ (increment @ Poses.exp(hypotheses.mean[:, :7] @ motion.pose[:, BIAS].T))
+    mean, covariance = hypotheses.mean * motion.kept, _moved_covariance(hypotheses.covariance, motion)
+    return unchecked_replace(hypotheses, poses=poses.orthonormal(), mean=mean, covariance=covariance)
 
 
 def with_regimes(
@@ -155,28 +158,29 @@ def with_regimes(
     duration_s = odometry.duration_s
     if failures_per_s * since_s <= 0.0:
         return hypotheses
-    heavy = hypotheses.log_weights > np.log(_HEAVY)
-    right, failed = (np.flatnonzero(heavy & (is_right == (hypotheses.regime == RIGHT))) for is_right in (True, False))
-    fails, ceases = -np.expm1(-failures_per_s * since_s), -np.expm1(-since_s / failure_s)
-    fails, ceases = min(float(fails), _MOST), min(float(ceases), 1.0 - 1e-9)
-    log_weights = hypotheses.log_weights.copy()
-    log_weights[right] += np.log1p(-fails)
-    log_weights[failed] += np.log1p(-ceases)
+    heavy, is_right = hypotheses.log_weights > math.log(_HEAVY), hypotheses.regime == RIGHT
+    right, failed = (heavy & is_right).nonzero()[0], (heavy & ~is_right).nonzero()[0]
+    fails = min(-math.expm1(-failures_per_s * since_s), _MOST)
+    ceases = min(-math.expm1(-since_s / failure_s), 1.0 - 1e-9)
     unit, lengths = drift_of(odometry, odometry_bias), np.repeat([noise.length_m, noise.length_rad], 3)
     wrong = np.hypot(_SLIP_PER_S * duration_s * lengths, odometry.tangent)
     wrong = np.minimum(wrong / np.where(unit > 0.0, unit, np.inf), _FARTHEST) + (unit == 0.0)
     known, of_known = odometry_bias_of(hypotheses)
-    parts = [unchecked_replace(hypotheses, log_weights=log_weights)]
-    for of, part, regime, mean, covariance in (
+    switches = (
         (right, fails / 2.0, BIASED, np.zeros(6), np.diag(np.square(wrong))),
         (right, fails / 2.0, USELESS, np.zeros(6), np.eye(6)),
         (failed, ceases, RIGHT, known[1:], of_known[1:, 1:]),
-    ):
-        if len(of):
-            switched = hypotheses[of].reweighted(np.full(len(of), np.log(part)))
-            regimes = np.full(len(of), regime)
-            parts.append(unchecked_replace(with_drift(switched, mean, covariance), regime=regimes))
-    return concatenate(parts)
+    )
+    end = len(hypotheses)
+    after = hypotheses[np.concatenate([np.arange(end), *(of for of, *_ in switches)])]
+    after.log_weights[right] += math.log1p(-fails)
+    after.log_weights[failed] += math.log1p(-ceases)
+    for of, part, regime, mean, covariance in switches:
+        own, end = slice(end, end + len(of)), end + len(of)
+        after.log_weights[own] += np.log(part)
+        after.regime[own] = regime
+        set_drift(after[own], mean, covariance)
+    return after
 
 
 def unknown_velocity(noise: MeasurementNoise, gap: GapConfig) -> OdometryBias:
@@ -223,20 +227,20 @@ def moved(
         distances: Normalized distance that the camera of each source moved.
     """
     useless = hypotheses.regime == USELESS
-    if not useless.any():
+    own, others = useless.nonzero()[0], (~useless).nonzero()[0]
+    if len(own) == 0:
         return predict(hypotheses, odometry, odometry_bias, distances)
-    others, own = np.flatnonzero(~useless), np.flatnonzero(useless)
     parts = [across_gap(hypotheses[own], Gap.of(None, odometry.duration_s, velocity), distances)]
     if len(others):
         parts.append(predict(hypotheses[others], odometry, odometry_bias, distances))
-    return concatenate(parts)[np.argsort(np.concatenate([own, others]))]
+    return concatenate(parts)[np.concatenate([own, others]).argsort()]
 
 
 def drift_of(odometry: Odometry, odometry_bias: OdometryBias) -> Float64[np.ndarray, " 6"]:
     """Standard deviation of the drift's share in an increment, each axis, metres and radians."""
     duration_s = min(odometry.duration_s, _LONGEST_S)
     if odometry_bias.drift is None:
-        return odometry_bias.relative_drift * np.sqrt(np.diag(odometry.covariance) * duration_s)
+        return odometry_bias.relative_drift * np.sqrt(odometry.covariance.diagonal() * duration_s)
     return np.asarray(odometry_bias.drift) * duration_s
 
 
@@ -310,20 +314,20 @@ def limit_rotation(covariance: Float64[np.ndarray, "n d d"]) -> None:
     covariance *= scale[:, :, None] * scale[:, None, :]
 
 
-def _carried(
-    covariance: Float64[np.ndarray, "n d d"], pose: Float64[np.ndarray, "6 13"], kept: Float64[np.ndarray, " m"]
-) -> Float64[np.ndarray, "n d d"]:
-    """F C Fᵀ for a transition F with full rows for the pose, and a diagonal otherwise."""
-    size = covariance.shape[1]
+def _moved_covariance(covariance: Float64[np.ndarray, "n d d"], motion: StateMotion) -> Float64[np.ndarray, "n d d"]:
+    """F C Fᵀ and the noise."""
+    pose, kept, noise = motion
+    size = len(noise)
     scale = np.concatenate([np.ones(6), kept])
     scales = np.multiply.outer(scale, scale)
-    carried = np.empty_like(covariance)
+    moved = np.empty_like(covariance)
     for block in blocks(len(covariance)):
-        before, after = covariance[block], carried[block]
+        before, after = covariance[block], moved[block]
         half = (before.reshape(-1, size)[:, :13] @ pose.T).reshape(-1, size, 6)
         np.multiply(before, scales, out=after)
         after[:, POSE, POSE] = pose @ half[:, :13]
         after[:, 6:, POSE] = across = half[:, 6:] * kept[:, None]
         after[:, POSE, 6:] = np.swapaxes(across, 1, 2)
         settle(after[:, POSE, POSE])
-    return carried
+        after += noise
+    return moved

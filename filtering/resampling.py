@@ -12,6 +12,13 @@ from jaxtyping import Float64, Int64
 Resampling = Literal["optimal", "heaviest"]
 
 
+def copied(rng: np.random.Generator) -> np.random.Generator:
+    """A generator that draws what this one would draw next; several times faster than `copy.deepcopy`."""
+    bits = type(rng.bit_generator)(0)
+    bits.state = rng.bit_generator.state
+    return np.random.Generator(bits)
+
+
 def systematic(weights: Float64[np.ndarray, " n"], count: int, *, rng: np.random.Generator) -> Int64[np.ndarray, " k"]:
     """Indices (k,) drawn in proportion to weights (n,), which need not be normalised: one random number, even steps."""
     cumulative = np.cumsum(weights)

@@ -11,18 +11,9 @@ import numpy as np
 from jaxtyping import Bool, Float64
 from scipy.spatial.transform import Rotation
 
+from filtering import so3
 from filtering.errors import VaporTrackError, quoted
-from filtering.so3 import (
-    cross,
-    dot,
-    exp_coefficients,
-    log_coefficient,
-    nearest_rotation,
-    rodrigues,
-    rotation_from_quat_xyzw,
-    rotvec_from_rotation,
-    skew,
-)
+from filtering.so3 import nearest_rotation, rotation_from_quat_xyzw, skew
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -130,10 +121,9 @@ class Poses:
         """
         tangent = np.asarray(tangent, np.float64)
         _require_shape("tangent", tangent, (6,))
-        v, omega = tangent[..., :3], tangent[..., 3:]
-        a, b, c = exp_coefficients(dot(omega, omega))
-        translation = a * v + b * cross(omega, v) + c * dot(omega, v) * omega
-        return Poses(rodrigues(omega, a, b), translation)
+        flat, batch = tangent.reshape(-1, 6), tangent.shape[:-1]
+        rotation, translation = so3.exp(flat)
+        return Poses(rotation.reshape(*batch, 3, 3), translation.reshape(*batch, 3))
 
     @staticmethod
     def concatenate(parts: Sequence[Poses]) -> Poses:
@@ -223,11 +213,8 @@ class Poses:
 
     def log(self) -> Float64[np.ndarray, "*batch 6"]:
         """Tangent vectors (v, ω), with |ω| ≤ π; the inverse of `exp`."""
-        omega = rotvec_from_rotation(self.rotation)
-        v, angle_sq = self.translation, dot(omega, omega)
-        twice_turned = dot(omega, v) * omega - angle_sq * v  # ω × (ω × v)
-        v = v - 0.5 * cross(omega, v) + log_coefficient(angle_sq) * twice_turned
-        return np.concatenate([v, omega], axis=-1)
+        tangent = so3.log(self.rotation.reshape(-1, 9), self.translation.reshape(-1, 3))
+        return tangent.reshape(*self.batch_shape, 6)
 
     def adjoint(self) -> Float64[np.ndarray, "*batch 6 6"]:
         """Adjoint A with `T exp(ξ) T⁻¹ = exp(A ξ)`, for the (v, ω) order."""

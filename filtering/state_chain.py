@@ -128,7 +128,8 @@ def transition(
         noise: Noise of the images.
         new_drift: Whether the drift is another one from here on, as at both ends of a gap in the odometry.
     """
-    matrix, covariance = motion_of_state(odometry, odometry_bias, [*distances, 0.0])
+    motion = motion_of_state(odometry, odometry_bias, [*distances, 0.0])
+    matrix, covariance = motion.transition, motion.noise
     if new_drift:  # the drift of this motion is independent of the one before
         own = matrix[:, DRIFT].copy()
         covariance = covariance + own @ own.T

@@ -5,7 +5,6 @@ Each stage takes a belief and gives the next one; nothing is changed in place.
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -30,12 +29,13 @@ from filtering.hypotheses import (
     with_source,
 )
 from filtering.measurement_noise import MeasurementNoise
-from filtering.mixture_reduction import reduce_mixture
+from filtering.mixture_reduction import reduce_mixture, resample
 from filtering.motion import Odometry, OdometryBias, require_odometry
 from filtering.observation import Observation, View
 from filtering.posterior import PosePosterior
 from filtering.prediction import Gap, across_gap, gap_motion, leaps, moved, unknown_velocity, usual_speed, with_regimes
 from filtering.prediction import predict as predict_hypotheses
+from filtering.resampling import copied
 from filtering.unchecked import unchecked_replace
 from filtering.vertical import Vertical, VerticalMemory, corrected_by
 
@@ -250,11 +250,11 @@ def add_births(belief: Belief, used: Sequence[UsedView], novelty: float, config:
     agreement = float(np.mean([one.agreement for one in used]))
     carried = BIRTHS[config.births](belief, novelty, agreement, config)
     unassigned = belief.unassigned + carried * (1.0 - belief.unassigned)
-    parts = [_weighed(hypotheses_of(belief), 1.0 - unassigned)]
+    parts = [hypotheses_of(belief).reweighted(_log(1.0 - unassigned))]
     for one in used:
         taken = one.likelihood_power / len(used) * unassigned * assigned_by(one.posterior)
         if taken > 0.0:
-            parts.append(_weighed(born_at(one.posterior, one.camera, belief, config), taken))
+            parts.append(born_at(one.posterior, one.camera, belief, config).reweighted(_log(taken)))
             unassigned -= taken
     if len(parts) == 1:
         return unchecked_replace(belief, unassigned=unassigned)
@@ -266,23 +266,13 @@ def assigned_by(posterior: PosePosterior) -> float:
     return (1.0 - posterior.outlier_probability) * float(posterior.weights.sum())
 
 
-def _weighed(hypotheses: Hypotheses, mass: float) -> Hypotheses:
-    return hypotheses.reweighted(np.full(len(hypotheses), _log(mass)))
-
-
 def reduce(belief: Belief, config: LocalizerConfig) -> Belief:
     """Prune light hypotheses, merge those that agree, and resample beyond `max_hypotheses`."""
     hypotheses, rng = hypotheses_of(belief), belief.rng
-    if len(hypotheses) > config.max_hypotheses:
-        rng = copy.deepcopy(rng)
-    reduced = reduce_mixture(
-        hypotheses,
-        divergence=config.merge_divergence,
-        least_weight=config.least_weight,
-        most=config.max_hypotheses,
-        resampling=config.resampling,
-        rng=rng,
-    )
+    reduced = reduce_mixture(hypotheses, divergence=config.merge_divergence, least_weight=config.least_weight)
+    if len(reduced) > config.max_hypotheses:
+        rng = copied(rng)
+        reduced = resample(reduced, config.max_hypotheses, config.resampling, rng=rng)
     return unchecked_replace(belief, hypotheses=reduced, rng=rng)
 
 

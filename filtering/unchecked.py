@@ -9,7 +9,9 @@ Value = TypeVar("Value")
 
 def unchecked_replace(value: Value, **changes: Any) -> Value:
     """As `dataclasses.replace`, for changes that keep a frozen dataclass valid: its checks are not run again."""
-    copy = object.__new__(type(value))
+    copy, state = object.__new__(type(value)), {**vars(value), **changes}
     fields: dict[str, Any] = type(value).__dataclass_fields__  # pyright: ignore[reportAttributeAccessIssue]
-    vars(copy).update({name: getattr(value, name) for name in fields} | changes)
+    if len(state) > len(fields):  # cached properties, which may be others now
+        state = {name: state[name] for name in fields}
+    vars(copy).update(state)
     return copy

@@ -20,6 +20,7 @@ from filtering.hypotheses import POSE, Hypotheses, correlated_error
 from filtering.measurement import Measurement, kalman_update, predict_measurement
 from filtering.measurement_noise import PLACE
 from filtering.se3 import Poses
+from filtering.so3 import skew
 from filtering.unchecked import unchecked_replace
 
 LASTING = 0.9
@@ -175,18 +176,19 @@ def vertical_errors(vertical: Vertical, poses: Poses) -> VerticalErrors:
 
 def _across(directions: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 2 3"]:
     """Two unit vectors across each of n directions, and across each other."""
-    least = np.eye(3)[np.argmin(np.abs(directions), axis=1)]
-    one = np.cross(directions, least)
-    one /= np.linalg.norm(one, axis=1, keepdims=True)
-    return np.stack([one, np.cross(directions, one)], axis=1)
+    cross = skew(directions)
+    least = np.abs(directions).argmin(axis=1)
+    one = cross[np.arange(len(cross)), :, least]
+    one /= np.sqrt(np.vecdot(one, one))[:, None]
+    return np.stack([one, (cross @ one[:, :, None])[:, :, 0]], axis=1)
 
 
 def _turn(
     begin: Float64[np.ndarray, "n 3"], end: Float64[np.ndarray, "3"], across: Float64[np.ndarray, "n 2 3"]
 ) -> Float64[np.ndarray, "n 3"]:
     """Rotation vectors of the shortest turns that carry directions to another one; about any axis if it is opposite."""
-    axis, cosine = np.cross(begin, end), begin @ end
-    sine = np.linalg.norm(axis, axis=1)
+    axis, cosine = skew(begin) @ end, begin @ end
+    sine = np.sqrt(np.vecdot(axis, axis))
     axis = np.where((sine < 1e-12)[:, None], across[:, 0], axis / np.maximum(sine, 1e-12)[:, None])
     return np.arctan2(sine, cosine)[:, None] * axis
 
@@ -237,7 +239,7 @@ def corrected_by(vertical: Vertical, belief: Hypotheses, memory: VerticalMemory)
     squared = np.einsum("nk,nkl,nl->n", innovation, predicted.innovation_precision, innovation)
     larger = _enlarged(squared, vertical.degrees_of_freedom)
     lasts = _lasts(memory.since)
-    far = np.flatnonzero(larger > _UNUSUAL)
+    far = (larger > _UNUSUAL).nonzero()[0]
     if len(far):
         innovation[far], jacobian[1][1][far] = found.innovation[far], 0.0
         noise[far] = _diagonal(lasts * larger[far, None] * found.variance[far])

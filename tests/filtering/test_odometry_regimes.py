@@ -135,8 +135,7 @@ def test_hypotheses_of_different_regimes_are_not_merged():
         both = bank(1)[np.zeros(2, np.int64)].with_log_weights(np.zeros(2))
         return unchecked_replace(both, regime=np.array([RIGHT, regime]))
 
-    settings = {"divergence": 0.5, "least_weight": 1e-8, "most": 50, "resampling": "optimal"}
-    merged = {k: len(reduce_mixture(twins(k), **settings, rng=np.random.default_rng(0))) for k in (RIGHT, USELESS)}
+    merged = {k: len(reduce_mixture(twins(k), divergence=0.5, least_weight=1e-8)) for k in (RIGHT, USELESS)}
     assert merged == {RIGHT: 1, USELESS: 2}
 
 
