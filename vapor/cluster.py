@@ -7,7 +7,7 @@ import socket
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from filtering.errors import VaporTrackError
 from vapor.versions import version_of
@@ -51,7 +51,7 @@ def on_cluster(
             client.submit(_on_worker, version_of(_PACKAGE), function, job, pure=False): number
             for number, job in jobs.items()
         }
-        for future in as_completed(futures):
+        for future in as_completed(futures, loop=client.loop):
             number = futures.pop(future)
             try:
                 result = future.result()
@@ -74,9 +74,9 @@ def _connected(scheduler: str) -> Iterator[Client]:
         raise VaporTrackError(
             "distributed is not installed, expected it for a Dask scheduler: pip install 'vapor-track[dask]'"
         ) from error
-    where = {"scheduler_file": scheduler} if Path(scheduler).is_file() else {"address": scheduler}
+    address, file = (None, scheduler) if Path(scheduler).is_file() else (scheduler, None)
     try:
-        client = Client(**where, timeout=_ANSWER_S, set_as_default=False)
+        client = Client(address, scheduler_file=file, timeout=_ANSWER_S, set_as_default=False)
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise VaporTrackError(
             f"{scheduler}: no Dask scheduler answers, expected the address that `dask scheduler` printed, such as"
@@ -88,7 +88,8 @@ def _connected(scheduler: str) -> Iterator[Client]:
 
 def _require_alike(client: Client) -> None:
     """Raise where a worker has another version than this process; log a warning where there is no worker yet."""
-    workers = client.get_versions(packages=[_PACKAGE])["workers"]
+    versions: Any = client.get_versions(packages=[_PACKAGE])  # no coroutine, as this client is none of asyncio's
+    workers = versions["workers"]
     if not workers:
         logging.getLogger(__name__).warning(
             "the Dask scheduler has no worker yet; jobs wait until there is one: %s", _START

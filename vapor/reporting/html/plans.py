@@ -66,7 +66,7 @@ class Plans:
     def shows(self, positions: Float64[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
         """Whether each position is within the plans' edges."""
         at = self.on_plan(positions) - self.low_m
-        return ((at >= 0.0) & (at <= self.size_m)).all(axis=1)
+        return np.all((at >= 0.0) & (at <= self.size_m), axis=1)
 
     def drawn(self, positions: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 2"]:
         """Positions in the units of the drawing."""

@@ -15,7 +15,7 @@ from filtering.storeys import Storeys, up_axis
 from vapor.checkpoints.checkpoint import ModelDescription
 from vapor.reporting.html.page import Block, Page, code, folded, paragraph, section, table
 from vapor.reporting.html.plans import Plans, dots, line
-from vapor.reporting.next_steps import MOST_STEPS
+from vapor.reporting.next_steps import MOST_STEPS, MOVE_ON
 from vapor.reporting.outcome import STATES, Outcome, total
 from vapor.reporting.outline import Outline
 
@@ -75,7 +75,8 @@ def summary_page(outcomes: Sequence[Outcome], site: Site, model: str, *, of: int
         areas = _areas(localized, plans)
         sections.append(section("Where it failed", _map(localized, plans, areas)))
         sections.append(section("Recordings, the worst first", _recordings(localized)))
-        steps = _of_areas(areas) + _of_runs(localized)
+        of_areas = _of_areas(areas)
+        steps = [*of_areas, *(step for step in _of_runs(localized) if step[0] not in dict(of_areas))]
     if failed:
         rows = [(outcome.name, str(outcome.error)) for outcome in failed]
         sections.append(section("Not localized", [table(("recording", "reason"), rows, "Recordings", words=True)]))
@@ -129,9 +130,10 @@ def _map(outcomes: Sequence[Outcome], plans: Plans, areas: Sequence[Area]) -> li
         )
     key = [(state, _WORDS[state]) for state in STATES if shown[state]]
     blocks = [plans.block(marks, key, "Where the cameras were")] if marks else []
-    truth = {outcome.visited.are_true for outcome in outcomes}
-    where = {(True,): "true positions", (False,): "estimated positions, which are guesses where it is lost"}
-    words = where.get((*truth,), "true positions where they are known, else estimated ones, guesses where it is lost")
+    known = [outcome.visited.are_true for outcome in outcomes]
+    guesses = "estimated positions, which are guesses where it is lost"
+    words = "true positions" if all(known) else f"true positions where they are known, else {guesses}"
+    words = words if any(known) else guesses
     note = f"Points are {words}; a click on one leads to its report."
     note += f" {outside} points lie outside of the plan, as in another place or frame." if outside else ""
     return [*blocks, paragraph(note), *_area_table(areas, plans)]
@@ -140,7 +142,7 @@ def _map(outcomes: Sequence[Outcome], plans: Plans, areas: Sequence[Area]) -> li
 def _areas(outcomes: Sequence[Outcome], plans: Plans) -> list[Area]:
     """Squares in which at least half of the images failed, of two recordings and more: those of most recordings."""
     side_m = _side(plans) / plans.scale
-    images: dict[tuple[int, ...], Counter[str]] = defaultdict(Counter)
+    images: dict[tuple[int, ...], dict[str, float]] = defaultdict(lambda: dict.fromkeys(STATES, 0.0))
     failing: dict[tuple[int, ...], dict[str, None]] = defaultdict(dict)
     for outcome in outcomes:
         # A lost camera without a true pose may be anywhere.
@@ -157,7 +159,7 @@ def _areas(outcomes: Sequence[Outcome], plans: Plans) -> list[Area]:
     found = []
     for cell, names in failing.items():
         bad = {state: images[cell][state] for state in STATES if state not in _GOOD}
-        part = sum(bad.values()) / images[cell].total()
+        part = sum(bad.values()) / sum(images[cell].values())
         if part >= _BAD and len(names) >= _LEAST_RECORDINGS:
             found.append((len(names), part, cell, max(bad, key=bad.__getitem__)))
     return [
@@ -203,7 +205,7 @@ def _of_areas(areas: Sequence[Area]) -> list[tuple[str, str]]:
     """What to do about areas: an action, and its reason."""
     actions = {
         "Record these parts of the place again, and train with them, too.": ("lost", "wrong"),
-        "Begin where something looks different, or look with more cameras.": ("ambiguous",),
+        MOVE_ON: ("ambiguous",),
     }
     steps = []
     for action, states in actions.items():
