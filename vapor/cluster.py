@@ -39,8 +39,9 @@ def on_cluster(
         given_up: The result of a job, by its arguments, whose workers died four times; None to raise.
 
     Raises:
-        VaporTrackError: Dask is not installed, the scheduler does not answer or ends, a worker has another version than
-            this process or several threads, or the workers of a job died four times and `given_up` is None.
+        VaporTrackError: Dask is not installed, the scheduler does not answer or ends, it or a worker has another version
+            than this process, a worker has several threads, or the workers of a job died four times and `given_up` is
+            None.
     """
     with _connected(scheduler) as client:
         from distributed import CancelledError, KilledWorker, as_completed
@@ -61,8 +62,12 @@ def on_cluster(
                 result = given_up(*jobs[number])
             except CancelledError as error:
                 raise VaporTrackError(f"{scheduler}: the Dask scheduler ended, or cancelled the jobs") from error
-            except ImportError as error:
-                raise VaporTrackError(f"a Dask worker cannot run the jobs of this {_PACKAGE}: {error}") from error
+            except (ImportError, RuntimeError) as error:
+                if isinstance(error, RuntimeError) and "deserialization" not in str(error):
+                    raise
+                raise VaporTrackError(
+                    f"the Dask scheduler or a worker cannot read the jobs, expected {_PACKAGE} there as here: {error}"
+                ) from error
             yield number, result
 
 
@@ -82,12 +87,21 @@ def _connected(scheduler: str) -> Iterator[Client]:
             f"{scheduler}: no Dask scheduler answers, expected the address that `dask scheduler` printed, such as"
             " tcp://host:8786, or its --scheduler-file"
         ) from error
-    with client:
-        yield client
+    log = logging.getLogger("distributed.client")
+    log.addFilter(_nothing)  # a scheduler that ends is raised, and needs no traceback
+    try:
+        with client:
+            yield client
+    finally:
+        log.removeFilter(_nothing)
+
+
+def _nothing(record: logging.LogRecord) -> bool:
+    return False
 
 
 def _require_alike(client: Client) -> None:
-    """Raise where a worker has another version than this process; log a warning where there is no worker yet."""
+    """Raise where scheduler or workers have another version than this process; log a warning without a worker."""
     versions: Any = client.get_versions(packages=[_PACKAGE])  # no coroutine, as this client is none of asyncio's
     workers = versions["workers"]
     if not workers:
@@ -95,13 +109,14 @@ def _require_alike(client: Client) -> None:
             "the Dask scheduler has no worker yet; jobs wait until there is one: %s", _START
         )
     for address, found in workers.items():
-        _require_version(found["packages"][_PACKAGE], version_of(_PACKAGE), address)
+        _require_version(found["packages"][_PACKAGE], version_of(_PACKAGE), f"worker {address}")
+    _require_version(versions["scheduler"]["packages"][_PACKAGE], version_of(_PACKAGE), "scheduler")
 
 
-def _require_version(found: str | None, expected: str | None, worker: str) -> None:
+def _require_version(found: str | None, expected: str | None, where: str) -> None:
     if found != expected:
         has = f"has {_PACKAGE} {found}" if found else f"has no {_PACKAGE}"
-        raise VaporTrackError(f"Dask worker {worker} {has}, expected {expected}, as where the run was started")
+        raise VaporTrackError(f"Dask {where} {has}, expected {expected}, as where the run was started")
 
 
 def _on_worker(version: str | None, function: Callable[..., Result], job: tuple) -> Result:
@@ -109,8 +124,8 @@ def _on_worker(version: str | None, function: Callable[..., Result], job: tuple)
     from distributed import get_worker
 
     worker = get_worker()
-    where = f"{worker.address} on {socket.gethostname()}"
+    where = f"worker {worker.address} on {socket.gethostname()}"
     _require_version(version_of(_PACKAGE), version, where)
     if (threads := worker.state.nthreads) != 1:
-        raise VaporTrackError(f"Dask worker {where} has {threads} threads, expected one: {_START}")
+        raise VaporTrackError(f"Dask {where} has {threads} threads, expected one: {_START}")
     return function(*job)

@@ -71,6 +71,15 @@ def test_a_worker_of_another_version_is_refused(thread, monkeypatch):
         on(thread, abs, [(1,)])
 
 
+def test_a_scheduler_of_another_version_is_refused(monkeypatch):
+    monkeypatch.setattr(cluster_module, "version_of", lambda package: "0.0.0")
+    with (
+        LocalCluster(n_workers=0, processes=False, dashboard_address=None) as cluster,
+        pytest.raises(VaporTrackError, match=r"Dask scheduler has vapor-track \S+, expected 0.0.0"),
+    ):
+        on(cluster, abs, [(1,)])
+
+
 def test_a_worker_of_several_threads_is_refused():
     with (
         LocalCluster(n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None) as cluster,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
@@ -81,13 +82,20 @@ class Plans:
         """Of the storey of a plan; empty where there is one only."""
         return "" if self.storeys is None else f"storey {number}, {self.storeys.heights_m[number]:.1f} m"
 
-    def block(self, marks: Mapping[int, str], key: Sequence[tuple[str, str]], shown: str) -> Block:
+    def block(
+        self,
+        marks: Mapping[int, str],
+        key: Sequence[tuple[str, str]],
+        shown: str,
+        role: Literal["img", "group"] = "img",
+    ) -> Block:
         """The plans.
 
         Args:
             marks: What is drawn on top of the outline, as SVG, by the number of the plan.
             key: Kinds of marks, which are classes of the style sheet, in words.
             shown: What is marked, for a screen reader.
+            role: "group" where marks are links.
         """
         points, width, height = self.outline.points.astype(float), *self.scale * self.size_m
         on_storey, bar_m = self.storey(points), _round_length(float(self.size_m.max()) / 5.0)
@@ -98,7 +106,7 @@ class Plans:
             label = f"{shown} and {self.outline.what} from above, {self.name(number)}".rstrip(", ")
             caption = f"<figcaption>{self.name(number)}</figcaption>" if self.name(number) else ""
             plans.append(
-                f'<figure><svg class="plan" viewBox="0 0 {width:.0f} {height:.0f}" role="img"'
+                f'<figure><svg class="plan" viewBox="0 0 {width:.0f} {height:.0f}" role="{role}"'
                 f' aria-label="{escape(label)}">{line("points", outline)}{drawn}{line("bar", bar)}</svg>{caption}'
                 "</figure>"
             )

@@ -29,7 +29,7 @@ _WORDS: Mapping[str, str] = {
 _GOOD = ("right", "converged")
 _SHOWN = 50  # recordings of a table that is not folded
 _CELLS = 12  # along the longer side of a plan
-_MOST_AREAS, _LEAST_RECORDINGS, _BAD = 5, 2, 0.5  # areas that are listed; what failed there, and the part of the images
+_MOST_AREAS, _LEAST_RECORDINGS, _BAD = 5, 2, 0.5  # areas listed; recordings not right there, and the part of the images
 
 
 @dataclass(frozen=True)
@@ -48,10 +48,10 @@ class Site:
 
 @dataclass(frozen=True)
 class Area:
-    """A square of a plan where much failed: its letter, plan, corner (units of the drawing), middle (map, metres).
+    """A square where most is not right: its letter, plan, corner in units of the drawing, middle in the map (metres).
 
-    `state` is the most frequent one of the images that failed there, which are the fraction `failed`; `recordings` are
-    the names of those that failed there.
+    `state` is the most frequent one of the images that are not right, which are the fraction `failed`; `recordings` are
+    the names of those that have any there.
     """
 
     letter: str
@@ -73,7 +73,7 @@ def summary_page(outcomes: Sequence[Outcome], site: Site, model: str, *, of: int
         good = [positions for outcome in localized if len(positions := _positions(outcome, _GOOD))]
         plans = Plans.of(site.outline, np.concatenate([np.empty((0, 3)), *good]), site.storeys, site.up)
         areas = _areas(localized, plans)
-        sections.append(section("Where it failed", _map(localized, plans, areas)))
+        sections.append(section("Where it was not sure, or wrong", _map(localized, plans, areas)))
         sections.append(section("Recordings, the worst first", _recordings(localized)))
         of_areas = _of_areas(areas)
         steps = [*of_areas, *(step for step in _of_runs(localized) if step[0] not in dict(of_areas))]
@@ -129,7 +129,7 @@ def _map(outcomes: Sequence[Outcome], plans: Plans, areas: Sequence[Area]) -> li
             f'<text class="area" x="{x + 6}" y="{y + side - 6}">{area.letter}</text>'
         )
     key = [(state, _WORDS[state]) for state in STATES if shown[state]]
-    blocks = [plans.block(marks, key, "Where the cameras were")] if marks else []
+    blocks = [plans.block(marks, key, "Where the cameras were", "group")] if marks else []
     known = [outcome.visited.are_true for outcome in outcomes]
     guesses = "estimated positions, which are guesses where it is lost"
     words = "true positions" if all(known) else f"true positions where they are known, else {guesses}"
@@ -140,7 +140,7 @@ def _map(outcomes: Sequence[Outcome], plans: Plans, areas: Sequence[Area]) -> li
 
 
 def _areas(outcomes: Sequence[Outcome], plans: Plans) -> list[Area]:
-    """Squares in which at least half of the images failed, of two recordings and more: those of most recordings."""
+    """Squares, no two side by side, where half of the images and more are not right, of two recordings and more."""
     side_m = _side(plans) / plans.scale
     images: dict[tuple[int, ...], dict[str, float]] = defaultdict(lambda: dict.fromkeys(STATES, 0.0))
     failing: dict[tuple[int, ...], dict[str, None]] = defaultdict(dict)
@@ -162,18 +162,17 @@ def _areas(outcomes: Sequence[Outcome], plans: Plans) -> list[Area]:
         part = sum(bad.values()) / sum(images[cell].values())
         if part >= _BAD and len(names) >= _LEAST_RECORDINGS:
             found.append((len(names), part, cell, max(bad, key=bad.__getitem__)))
-    return [
-        Area(
-            chr(ord("A") + rank),
-            cell[0],
-            (round(cell[1] * _side(plans)), round(cell[2] * _side(plans))),
-            plans.in_map(plans.low_m + side_m * (np.array(cell[1:]) + 0.5)),
-            state,
-            part,
-            tuple(failing[cell]),
-        )
-        for rank, (_, part, cell, state) in enumerate(sorted(found, reverse=True)[:_MOST_AREAS])
-    ]
+    areas: list[Area] = []
+    taken: list[tuple[int, ...]] = []
+    for _, part, cell, state in sorted(found, reverse=True):
+        beside = any(cell[0] == other[0] and np.abs(np.subtract(cell, other)).max() <= 1 for other in taken)
+        if beside or len(areas) == _MOST_AREAS:
+            continue
+        taken.append(cell)
+        letter, corner = chr(ord("A") + len(areas)), np.round(np.multiply(cell[1:], _side(plans))).astype(int)
+        middle_m = plans.in_map(plans.low_m + side_m * (np.array(cell[1:]) + 0.5))
+        areas.append(Area(letter, cell[0], tuple(corner.tolist()), middle_m, state, part, tuple(failing[cell])))
+    return areas
 
 
 def _side(plans: Plans) -> float:
@@ -197,8 +196,8 @@ def _area_table(areas: Sequence[Area], plans: Plans) -> list[Block]:
         )
         for area in areas
     ]
-    columns = ("area", *(["storey"] if plans.storeys else []), "middle, m", "images failed", "most are", "recordings")
-    return [table(columns, rows, "Areas where at least half of the images failed, of most recordings first")]
+    columns = ("area", *(["storey"] if plans.storeys else []), "middle, m", "not right", "most are", "recordings")
+    return [table(columns, rows, "Areas where at least half of the images are not right")]
 
 
 def _of_areas(areas: Sequence[Area]) -> list[tuple[str, str]]:
@@ -213,7 +212,7 @@ def _of_areas(areas: Sequence[Area]) -> list[tuple[str, str]]:
         named = ", ".join(f"{area.letter} ({len(area.recordings)} recordings)" for area in those)
         if those:
             words = " or ".join(_WORDS[state] for state in states if any(area.state == state for area in those))
-            steps.append((action, f"Most of the images that failed are {words} in these areas of the plan: {named}."))
+            steps.append((action, f"Most images are {words} in these areas of the plan: {named}."))
     return steps
 
 
