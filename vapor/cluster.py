@@ -39,9 +39,9 @@ def on_cluster(
         given_up: The result of a job, by its arguments, whose workers died four times; None to raise.
 
     Raises:
-        VaporTrackError: Dask is not installed, the scheduler does not answer or ends, it or a worker has another version
-            than this process, a worker has several threads, or the workers of a job died four times and `given_up` is
-            None.
+        VaporTrackError: Dask is not installed, the scheduler does not answer or ends, it or a worker has another
+            version than this process, a worker has several threads, or the workers of a job died four times and
+            `given_up` is None.
     """
     with _connected(scheduler) as client:
         from distributed import CancelledError, KilledWorker, as_completed
