@@ -5,12 +5,12 @@ from __future__ import annotations
 import re
 from importlib.metadata import Distribution, PackageNotFoundError, distribution
 
-_EXTRAS = ("", "evo", "export", "live", "map", "openvino", "pandas", "video")
+_EXTRAS = ("", "dask", "evo", "export", "live", "map", "openvino", "pandas", "video")
 _TEXT = """# Licences of the dependencies
 
 vapor-track is under Apache-2.0. This table has its direct and indirect dependencies, with installed versions and
 licences as stated by the packages; made by `python docs/licences.py > docs/licences.md`. *Extra* names the first
-optional extra (`evo`, `export`, `live`, `map`, `openvino`, `pandas`, `video`) that needs a package.
+optional extra (`dask`, `evo`, `export`, `live`, `map`, `openvino`, `pandas`, `video`) that needs a package.
 
 Packages under the GPL come with extras only: evo is GPL-3.0; PyAV is BSD, but its wheels carry FFmpeg with encoders
 under the GPL; pycolmap is BSD, but its wheels carry parts of SuiteSparse (CHOLMOD, SPQR) under the GPL. Wheels of

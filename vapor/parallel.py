@@ -1,4 +1,4 @@
-"""One function over many jobs, in processes of this machine."""
+"""One function over many jobs, in processes of this machine or of others."""
 
 from __future__ import annotations
 
@@ -10,12 +10,21 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from multiprocessing import resource_tracker
 from typing import TypeVar
 
+from vapor.cluster import on_cluster
+
 Result = TypeVar("Result")
 
 _TRIES = 3
 
 
-def in_parallel(function: Callable[..., Result], jobs: Iterable[tuple], processes: int) -> Iterator[tuple[int, Result]]:
+def in_parallel(
+    function: Callable[..., Result],
+    jobs: Iterable[tuple],
+    processes: int,
+    *,
+    scheduler: str | None = None,
+    given_up: Callable[..., Result] | None = None,
+) -> Iterator[tuple[int, Result]]:
     """The number of every job, and the result of `function(*job)`, as each finishes, in no order.
 
     A process takes seconds to start: there are no more than jobs, and none for a single job or a single process. One
@@ -25,13 +34,20 @@ def in_parallel(function: Callable[..., Result], jobs: Iterable[tuple], processe
     Args:
         function: What every job does; it can be pickled.
         jobs: Arguments of each.
-        processes: How many at a time, each with one thread.
+        processes: How many at a time on this machine, each with one thread.
+        scheduler: Of Dask: the jobs are done by its workers instead, see `on_cluster`. One that dies takes no others
+            with it.
+        given_up: The result of a job, by its arguments, whose workers of a scheduler died each time; None to raise.
 
     Raises:
         TerminatedWorkerError: processes died three times.
+        VaporTrackError: the scheduler or its workers cannot be used.
     """
     left = dict(enumerate(jobs))
     total = len(left)
+    if scheduler is not None:
+        yield from on_cluster(function, left, scheduler, given_up)
+        return
     if min(processes, total) < 2:
         yield from ((number, function(*job)) for number, job in left.items())
         return

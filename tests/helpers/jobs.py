@@ -1,6 +1,7 @@
-"""Jobs that end their own process."""
+"""Jobs, some of which end their own process."""
 
 import os
+import time
 from pathlib import Path
 from signal import SIGKILL
 
@@ -16,4 +17,13 @@ def end_once(folder: Path, number: int) -> int:
 
 def end(number: int) -> int:
     os.kill(os.getpid(), SIGKILL)
+    return number
+
+
+def end_if(word: str, number: int) -> int:
+    return end(number) if word == "kill" else number
+
+
+def wait(number: int) -> int:
+    time.sleep(0.05)
     return number

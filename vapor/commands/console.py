@@ -58,10 +58,15 @@ def command_line(command: str, arguments: Sequence[str], program: str = "vapor-t
     return shlex.join([program, command, *arguments])
 
 
+def _has_address(before: str, word: str) -> bool:
+    """Whether a word is, or has after =, the value of an option that takes the address of a server."""
+    return before in ("--view-at", "--dask") or word.startswith(("--view-at=", "--dask="))
+
+
 def parse(command: str, options: type[Options], arguments: Sequence[str], program: str = "vapor-track") -> Options:
     """Options from the words of the command line; wrong ones print a line and exit with status 2."""
     for before, word in pairwise(["", *arguments]):
-        if (url := re.search(r"(?:^|[=,])([a-z][a-z0-9+.-]*://\S*)", word)) and "--view-at" not in (before, word[:9]):
+        if (url := re.search(r"(?:^|[=,])([a-z][a-z0-9+.-]*://\S*)", word)) and not _has_address(before, word):
             usage_error(command, f"{url[1]}: expected a path; copy or mount it first", program)
     if {"-h", "--help"} & set(arguments):
         show_help(Command.of(f"{program} {command}", options))

@@ -25,10 +25,11 @@ from vapor.commands.console import (
 )
 from vapor.commands.progress import progress
 from vapor.commands.terminal import results_are_complete
-from vapor.pipeline.batch import SUMMARY, Outcome, find_sequences, format_batch, is_batch, run_batch, total
+from vapor.pipeline.batch import PAGE, SUMMARY, find_sequences, is_batch, run_batch
 from vapor.pipeline.config import RunConfig
 from vapor.pipeline.results import RunResult
 from vapor.pipeline.run import run
+from vapor.reporting.outcome import Outcome, format_batch, total
 from vapor.reporting.report import format_table
 
 
@@ -43,17 +44,25 @@ class Options:
     """Model file, or name of a model that ships with the package: staircase, ceiling."""
     output: OutputPath
     """Directory for the results, new or with earlier ones; of several sequences it gets a folder each, and
-    summary.json."""
+    summary.html and summary.json on all of them."""
     overwrite: Overwrite = False
     workers: int = 1
     """Sequences at a time, each in a process of its own."""
+    dask: str | None = None
+    """Localize several sequences on the workers of a Dask scheduler instead: its address, such as tcp://host:8786, or
+    its --scheduler-file. Each worker has one thread, and sees the files by the same paths."""
+    resume: bool = False
+    """Of several sequences, keep complete results of the same recording, model and settings."""
     reading: Annotated[SequenceOptions, tyro.conf.arg(name="")] = field(default_factory=SequenceOptions)
     config: Annotated[RunConfig, tyro.conf.arg(name="")] = field(default_factory=RunConfig)
 
     def __post_init__(self) -> None:
         require_within(self, workers=(1, 10**6))
-        if self.config.view and self.workers > 1:
-            raise VaporTrackError("--view beside --workers, expected one sequence at a time to look at")
+        elsewhere = "--dask" if self.dask is not None else "--workers" if self.workers > 1 else ""
+        if self.config.view and elsewhere:
+            raise VaporTrackError(f"--view beside {elsewhere}, expected one sequence at a time to look at")
+        if self.dask is not None and self.workers > 1:
+            raise VaporTrackError("--workers beside --dask, expected one of them: a scheduler has workers of its own")
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -63,6 +72,9 @@ def main(arguments: Sequence[str]) -> None:
         usage_error("run", "no sequence, expected at least one recording, video or folder of images")
     if is_batch(options.sequences):
         _run_batch(options, command)
+    elif options.dask is not None or options.resume:
+        given = "--dask" if options.dask is not None else "--resume"
+        usage_error("run", f"{given} with one sequence, expected several, or a folder of them")
     else:
         _run_one(options, command)
 
@@ -108,10 +120,11 @@ def show_run(result: RunResult, output: Path, *, title: str, recording: bool, la
 
 def _run_batch(options: Options, command: str) -> None:
     sequences = find_sequences(options.sequences, options.output)
+    is_here = options.workers == 1 and options.dask is None
     numbers = {name: f"{name}, {number} of {len(sequences)}" for number, name in enumerate(sequences, start=1)}
     outcomes: list[Outcome] = []
     try:
-        with progress("localizing", "images" if options.workers == 1 else "sequences") as shown:
+        with progress("localizing", "images" if is_here else "sequences") as shown:
             for outcome in run_batch(
                 sequences,
                 options.model,
@@ -121,10 +134,12 @@ def _run_batch(options: Options, command: str) -> None:
                 overwrite=options.overwrite,
                 progress=lambda name, done, count: shown.at(numbers[name], done, max(done, count)),
                 workers=options.workers,
+                scheduler=options.dask,
+                resume=options.resume,
                 command=command,
             ):
                 outcomes.append(outcome)
-                if options.workers > 1:
+                if not is_here:
                     shown(len(outcomes), len(sequences))
     finally:  # after Ctrl-C too: results of finished sequences are complete
         if outcomes:
@@ -148,7 +163,7 @@ def show_outcomes(outcomes: Sequence[Outcome], output: Path) -> None:
     converged = "" if summed["converged"] is None else f", {100 * summed['converged']:.0f} % converged"
     success = f"; success in {summed['successes']} of {summed['judged']}" if summed["judged"] else ""
     show(f"{len(outcomes)} sequence{'s' * (len(outcomes) != 1)}, {summed['images']} images{converged}{success}")
-    show(f"summary    {output / SUMMARY}")
+    show(f"summary    {output / PAGE}, {SUMMARY}")
     few = [outcome.name for outcome in outcomes if outcome.few_images is not None]
     if few:
         show(f"Fewer than half of the images were used in {len(few)} of {len(outcomes)} sequences: {', '.join(few)}.")

@@ -3,34 +3,39 @@
 from __future__ import annotations
 
 import json
+import os
+import socket
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from contextlib import contextmanager
+from dataclasses import asdict, replace
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import Any
 
 from filtering.errors import VaporTrackError
-from sequences.atomic import atomic_output
+from sequences.atomic import atomic_output, workspace
 from sequences.datasets.layout_helpers.packed import VIDEO_SUFFIXES
+from sequences.errors import SequenceError
+from sequences.files import read_json
 from sequences.options import SequenceOptions
 from sequences.outputs import folder_to_write, refuse_other, require_replaceable
 from sequences.recordings.recording_file import SUFFIXES
 from vapor.parallel import in_parallel
 from vapor.pipeline.config import RunConfig
 from vapor.pipeline.model import LoadedModel, load_model
-from vapor.pipeline.results import RESULTS, RunResult
-from vapor.pipeline.run import files_read, run
+from vapor.pipeline.results import RESULTS
+from vapor.pipeline.run import files_read, request_of, run
+from vapor.reporting.html.page import is_page, write_page
+from vapor.reporting.html.summary_page import Site, summary_page
+from vapor.reporting.outcome import Outcome, total
 from vapor.reporting.report import is_report
-
-if TYPE_CHECKING:
-    from rich.table import Table
+from vapor.reporting.stored_run import StoredRun, read_run
 
 _FILES = (*SUFFIXES, *VIDEO_SUFFIXES)
-SUMMARY = "summary.json"
-"""Name of the file on the results of many sequences, beside these."""
+SUMMARY, PAGE = "summary.json", "summary.html"
+"""Names of the files on the results of many sequences, beside these."""
+_MOST_POSITIONS = 20_000  # in a summary
 
 
 def is_batch(paths: Sequence[Path]) -> bool:
@@ -76,7 +81,7 @@ def unique_names(sequences: Sequence[Path]) -> list[str]:
     lengths = [1] * len(parts)
     while True:
         names = ["-".join(part[-length:]) for part, length in zip(parts, lengths, strict=True)]
-        counts = Counter(name.casefold() for name in [*names, SUMMARY])
+        counts = Counter(name.casefold() for name in [*names, SUMMARY, PAGE])
         longer = [
             min(length + (counts[name.casefold()] > 1), len(part))
             for name, length, part in zip(names, lengths, parts, strict=True)
@@ -92,31 +97,6 @@ def unique_names(sequences: Sequence[Path]) -> list[str]:
     return names
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """The result of one sequence, by the name of its folder: figures, or an error.
-
-    Without true poses the median errors of the filter, and `success` (whether it found the place, and kept it), are
-    None. `status` has fractions of the images; `few_images` is a sentence where fewer than half of the images were
-    used.
-    """
-
-    name: str
-    sequence: str
-    error: str | None = None
-    images: int = 0
-    duration_s: float = 0.0
-    status: dict[str, float] = field(default_factory=dict)
-    final_status: str | None = None
-    images_with_true_pose: int = 0
-    median_translation_m: float | None = None
-    median_rotation_deg: float | None = None
-    success: bool | None = None
-    skipped: dict[str, int] = field(default_factory=dict)
-    few_images: str | None = None
-    notices: tuple[str, ...] = ()
-
-
 def run_batch(
     sequences: Mapping[str, Path],
     model: str,
@@ -127,20 +107,27 @@ def run_batch(
     overwrite: bool = False,
     progress: Callable[[str, int, int], None] | None = None,
     workers: int = 1,
+    scheduler: str | None = None,
+    resume: bool = False,
     command: str = "",
 ) -> Iterator[Outcome]:
     """Localize many sequences, by the names of their results; each has the results that it would have alone.
 
-    The output gets a folder for each sequence, and `summary.json` on those done so far. Each process loads the model
-    once. Progress has the name of a sequence, the images done and an upper bound of all; sequences that other processes
-    localize have none. One worker localizes them one after the other here. Other arguments are as of `run`.
+    The output gets a folder for each sequence, `summary.json` on those done so far, and at the end its page,
+    `summary.html`, also where sequences failed or it was interrupted. Each process loads the model once. Progress has
+    the name of a sequence, the images done and an upper bound of all; sequences that other processes localize have
+    none. One worker localizes them one after the other here. Other arguments are as of `run`.
+
+    Args:
+        scheduler: Of Dask: its workers localize the sequences, see `in_parallel`. They see all files by the same paths.
+        resume: Keep complete results of the same requests, see `request_of`.
 
     Yields:
         The result of each when it is done, in order without other processes. A sequence that cannot be used does not
         stop the others.
 
     Raises:
-        VaporTrackError: unusable model or output; with the first sequence.
+        VaporTrackError: unusable model, output, scheduler or workers; with the first sequence.
     """
     config = config or RunConfig()
     folder_to_write(output)
@@ -150,21 +137,57 @@ def run_batch(
         require_replaceable(output / name, RESULTS, reads, overwrite=overwrite)
     is_summary = partial(is_report, keys=("sequences_in_all",))
     refuse_other(output / SUMMARY, "summary of a batch", is_summary, reads=reads, overwrite=overwrite)
+    refuse_other(output / PAGE, "page of a batch", is_page, reads=reads, overwrite=overwrite)
     try:
         output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise VaporTrackError(f"{output}: cannot write: {error.strerror or error}") from error
-    localized = partial(_localized, config=config, reading=reading, overwrite=overwrite, command=command)
+    options = {"config": config, "reading": reading, "overwrite": overwrite, "resume": resume, "command": command}
+    localized = partial(_localized, **options, most_positions=_MOST_POSITIONS // max(1, len(sequences)))
     here = partial(localized, model=loaded, progress=progress)
-    stated = {"file": loaded.file, "model": loaded.name, "sha256": loaded.sha256, "config": config}
-    there = partial(_localized_elsewhere, localized, stated)
-    jobs = [(name, sequence, output / name) for name, sequence in sequences.items()]
     done: dict[str, Outcome] = {}
-    for _, outcome in in_parallel(here if workers == 1 else there, jobs, workers):
-        done[outcome.name] = outcome
-        in_order = [done[name] for name in sequences if name in done]
-        _write_summary(output / SUMMARY, loaded.name, in_order, of=len(sequences))
-        yield outcome
+    try:
+        with _shared(output, loaded.file, is_needed=scheduler is not None) as needed:
+            stated = {"file": loaded.file.absolute(), "model": loaded.name, "sha256": loaded.sha256, "config": config}
+            there = partial(_localized_elsewhere, localized, stated, needed)
+            jobs = [(name, sequence.absolute(), output.absolute() / name) for name, sequence in sequences.items()]
+            in_this_process = workers == 1 and scheduler is None
+            function = here if in_this_process else there
+            for _, outcome in in_parallel(function, jobs, workers, scheduler=scheduler, given_up=_died):
+                outcome = replace(outcome, sequence=str(sequences[outcome.name]))
+                done[outcome.name] = outcome
+                in_order = [done[name] for name in sequences if name in done]
+                _write_summary(output / SUMMARY, loaded.name, in_order, of=len(sequences))
+                yield outcome
+    finally:
+        if done:
+            in_order = [done[name] for name in sequences if name in done]
+            site = Site.of_model(loaded.observation.description, loaded.observation.storeys)
+            page = summary_page(in_order, site, loaded.name, of=len(sequences), command=command)
+            write_page(output / PAGE, page)
+
+
+@contextmanager
+def _shared(output: Path, model: Path, *, is_needed: bool) -> Iterator[tuple[Path, ...]]:
+    """Paths that must exist where sequences are localized elsewhere: the model, and a new folder in the output."""
+    if not is_needed:
+        yield ()
+        return
+    with workspace(output.absolute(), "shared") as folder:
+        yield model.absolute(), folder
+
+
+def _require_shared(needed: Sequence[Path]) -> None:
+    for path in needed:
+        if not path.exists():
+            raise VaporTrackError(
+                f"{path}: is not there on {socket.gethostname()}, where a worker runs, expected a file system that all"
+                " machines share, with the same paths"
+            )
+    if not os.access(needed[-1], os.W_OK | os.X_OK):
+        raise VaporTrackError(
+            f"{needed[-1].parent}: cannot write on {socket.gethostname()}, where a worker runs, expected it as here"
+        )
 
 
 def _localized(
@@ -175,23 +198,50 @@ def _localized(
     config: RunConfig,
     reading: SequenceOptions | None,
     overwrite: bool,
+    resume: bool,
     model: LoadedModel,
     command: str,
+    most_positions: int,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> Outcome:
     advance = None if progress is None else partial(progress, name)
     options = {"reading": reading, "overwrite": overwrite, "progress": advance, "command": command}
     try:
-        return _outcome(name, sequence, run(sequence, model, output, config, **options))
+        stored = _stored(output, request_of(sequence, model, config, reading)) if resume else None
+        if stored is None:
+            run(sequence, model, output, config, **options)
+            stored = read_run(output)
+        return Outcome.of_run(name, str(sequence), stored, most_positions)
     except (VaporTrackError, OSError) as error:
         return Outcome(name, str(sequence), error=" ".join(str(error).splitlines()))
 
 
+def _stored(output: Path, request: str) -> StoredRun | None:
+    """Complete results of a request in a folder; None where there are none."""
+    try:
+        if read_json(output / "config.json")["request"] == request:
+            return read_run(output)
+    except (SequenceError, KeyError, TypeError):
+        pass
+    return None
+
+
 def _localized_elsewhere(
-    localized: Callable[..., Outcome], stated: dict[str, Any], name: str, sequence: Path, output: Path
+    localized: Callable[..., Outcome],
+    stated: dict[str, Any],
+    needed: Sequence[Path],
+    name: str,
+    sequence: Path,
+    output: Path,
 ) -> Outcome:
     """As `_localized` in another process, which loads the model."""
+    if needed:
+        _require_shared(needed)
     return localized(name, sequence, output, model=_loaded_once(**stated))
+
+
+def _died(name: str, sequence: Path, output: Path) -> Outcome:
+    return Outcome(name, str(sequence), error="its workers died each time, perhaps for lack of memory")
 
 
 @lru_cache(maxsize=1)
@@ -202,80 +252,15 @@ def _loaded_once(file: Path, model: str, sha256: str, config: RunConfig) -> Load
     return replace(loaded, name=model)
 
 
-def _outcome(name: str, sequence: Path, result: RunResult) -> Outcome:
-    report = result.report
-    errors = report.get("filter", {})
-    return Outcome(
-        name,
-        str(sequence),
-        images=report["frames"],
-        duration_s=report["duration_s"],
-        status=report["status"],
-        final_status=result.record.status[-1],
-        images_with_true_pose=report["frames_with_true_pose"],
-        median_translation_m=errors.get("median_translation_m"),
-        median_rotation_deg=errors.get("median_rotation_deg"),
-        success=errors.get("success"),
-        skipped=report["skipped"],
-        few_images=result.few_images,
-        notices=result.notices,
-    )
-
-
-def total(outcomes: Sequence[Outcome]) -> dict[str, Any]:
-    """Sums over sequences: fractions are of all images, the median is that of the sequences' medians."""
-    images = sum(outcome.images for outcome in outcomes)
-    converged = sum(outcome.images * outcome.status.get("converged", 0.0) for outcome in outcomes)
-    medians = [outcome.median_translation_m for outcome in outcomes if outcome.median_translation_m is not None]
-    successes = [outcome.success for outcome in outcomes if outcome.success is not None]
-    return {
-        "failed": sum(outcome.error is not None for outcome in outcomes),
-        "images": images,
-        "duration_s": round(sum(outcome.duration_s for outcome in outcomes), 6),
-        "converged": round(converged / images, 6) if images else None,
-        "median_translation_m": round(float(np.median(medians)), 6) if medians else None,
-        "judged": len(successes),
-        "successes": sum(successes),
-    }
-
-
 def _write_summary(file: Path, model: str, outcomes: Sequence[Outcome], *, of: int) -> None:
     summary = {
         "model": model,
         "sequences_done": len(outcomes),
         "sequences_in_all": of,
         "total": total(outcomes),
-        "sequences": [asdict(outcome) for outcome in outcomes],
+        "sequences": [],
     }
+    head = json.dumps(summary, indent=2, allow_nan=False).removesuffix("[]\n}")
+    rows = ",\n".join(f"    {json.dumps(asdict(outcome), allow_nan=False)}" for outcome in outcomes)  # a line each
     with atomic_output(file) as partial:
-        partial.write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-
-
-def format_batch(outcomes: Sequence[Outcome]) -> Table:
-    """A row a sequence; those of error and success only where there are true poses."""
-    from rich.table import Table
-
-    has_truth = any(outcome.median_translation_m is not None for outcome in outcomes)
-    table = Table()
-    table.add_column("sequence", overflow="fold")
-    for name in ("images", "duration", "converged", "at the end"):
-        table.add_column(name, justify="right")
-    for name in ("median error", "success") if has_truth else ():
-        table.add_column(name, justify="right")
-    for o in outcomes:
-        if o.error is not None:
-            table.add_row(o.name, "", "", "", "failed", style="red")
-            continue
-        error = (
-            "" if o.median_translation_m is None else f"{o.median_translation_m:.2f} m  {o.median_rotation_deg:5.1f}°"
-        )
-        success = "" if o.success is None else "yes" if o.success else "no"
-        table.add_row(
-            o.name,
-            str(o.images),
-            f"{o.duration_s:.1f} s",
-            f"{100 * o.status['converged']:.0f} %",
-            o.final_status,
-            *((error, success) if has_truth else ()),
-        )
-    return table
+        partial.write_text(f"{head}[\n{rows}\n  ]\n}}\n", encoding="utf-8")

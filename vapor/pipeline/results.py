@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import json
 import platform
 from collections.abc import Sequence
@@ -19,6 +18,7 @@ from vapor.reporting.record import RunRecord
 from vapor.reporting.report import build_report, camera_notices, doubtful_notice, write_report
 from vapor.reporting.status_file import write_status
 from vapor.tracking.methods import FILES
+from vapor.versions import version_of
 
 _PACKAGES = ("vapor-track", "torch", "numpy", "scipy", "filterpy", "gtsam", "opencv-python-headless", "rerun-sdk")
 RESULTS = frozenset(
@@ -50,14 +50,6 @@ class RunResult:
         return None if self.record.images is None else self.record.images.warning
 
 
-def _version(package: str) -> str | None:
-    """None where it is not installed, as a run needs no viewer, and a checkout may just be on the path."""
-    try:
-        return importlib.metadata.version(package)
-    except importlib.metadata.PackageNotFoundError:
-        return None
-
-
 def write_results(
     record: RunRecord,
     directory: Path,
@@ -75,13 +67,14 @@ def write_results(
     if record.truth is not None:
         write_tum(directory / "ground_truth.tum", record.truth)
     write_status(directory / "status.csv", record)
-    versions = {"python": platform.python_version()} | {name: _version(name) for name in _PACKAGES}
+    versions = {"python": platform.python_version()} | {name: version_of(name) for name in _PACKAGES}
     settings = settings | {"versions": versions}
     with atomic_output(directory / "config.json") as partial:
         partial.write_text(json.dumps(settings, indent=2) + "\n", encoding="utf-8")
     report = build_report(record)
-    write_report(directory / "report.json", report)
     all_notices = (*notices, *camera_notices(report), *filter(None, [doubtful_notice(record)]))
+    report["notices"] = [*all_notices]
+    write_report(directory / "report.json", report)
     result = RunResult(record, report, all_notices)
     on_page = [*filter(None, [result.few_images]), *all_notices]
     page = run_page(record, report, title=title, settings=settings, notices=on_page, command=command)

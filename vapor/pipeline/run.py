@@ -23,6 +23,7 @@ from sequences.outputs import results_folder
 from sequences.reader import SequenceReader
 from sequences.visual_odometry.odometry import VisualOdometry
 from sequences.visual_odometry.sequence import VisualSequence
+from vapor.cache import digest
 from vapor.checkpoints.checkpoint import ModelDescription
 from vapor.landmarks.localize import VerifiedPose
 from vapor.landmarks.verify import ShownLandmarks
@@ -39,6 +40,7 @@ from vapor.reporting.record import EvenlySpaced
 from vapor.reporting.rerun_place import Place
 from vapor.threads import limited_threads
 from vapor.training_data.ground import describe_unshown
+from vapor.versions import version_of
 
 _NO_ODOMETRY = "no odometry: each hypothesis moves by an unknown velocity from image to image"
 _VISUAL = "no odometry: it is made from the images, in a unit that the filter finds; dead reckoning is in that unit"
@@ -95,6 +97,21 @@ def files_read(sequence: Path, model: LoadedModel, reading: SequenceOptions | No
     return [sequence, model.file, *(() if reading is None else reading.files_read)]
 
 
+def request_of(sequence: Path, model: LoadedModel, config: RunConfig, reading: SequenceOptions | None) -> str:
+    """A hash of what the results of a run depend on: version, model, settings, and name and size of the sequence."""
+    reading = reading or SequenceOptions()
+    poses = None if reading.poses is None else reading.poses.absolute()
+    files = [sequence] if sequence.is_file() else sorted(path for path in sequence.rglob("*") if path.is_file())
+    settings = {
+        "vapor-track": version_of("vapor-track"),
+        "model": model.sha256,
+        "run": asdict(config),
+        "reading": asdict(reading) | {"poses": str(poses)},
+        "sequence": [(path.name, path.stat().st_size) for path in files],
+    }
+    return digest(settings)
+
+
 def run_into(
     directory: Path,
     sequence: Path,
@@ -106,6 +123,7 @@ def run_into(
     command: str = "",
 ) -> RunResult:
     """As `run`, but file by file into a directory that exists."""
+    request = request_of(sequence, model, config, reading)
     reading = reading or SequenceOptions()
     reader = _open(sequence, reading, config, model.observation.description.cameras)
     observation = model.observation.seen_by(reader.camera)
@@ -151,6 +169,7 @@ def run_into(
         )
         engine = {"device": observation.engine.device, "engine": observation.engine.name}
         settings = {
+            "request": request,
             "sequence": {
                 "name": sequence.name,
                 "images": frames.num_images,

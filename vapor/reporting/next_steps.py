@@ -9,6 +9,8 @@ from typing import Any
 from vapor.evaluation.consistency import REGIONS
 
 MOST_STEPS = 4
+MOVE_ON = "Move on until something looks different, or look with more cameras."
+"""Where several places remain."""
 _LEAST_IMAGES = 50  # that a statement on the calibration needs
 _FEW, _FEW_VERIFIED = 0.5, 0.2  # of the images, converged and with landmarks, below which something is amiss
 _HARDLY = 0.05  # of the images, converged, below which it may be another place
@@ -79,7 +81,7 @@ def _of_report(report: Mapping[str, Any]) -> list[tuple[str, str]]:
         reason = (
             f"Only {100 * converged:.0f} % of the images are converged: from what they show, several places remain."
         )
-        steps.append(("Move on until something looks different, or look with more cameras.", reason))
+        steps.append((MOVE_ON, reason))
     elif (back := report["hindsight"]) is not None and back["ambiguous"] > _AMBIGUOUS * frames:
         reason = f"{back['ambiguous']} of {frames} smoothed poses have a second place that is nearly as probable."
         steps.append(("Compare smoothed.tum with smoothed_second.tum before you use either.", reason))

@@ -1,8 +1,11 @@
 """Several sequences in one call of `vapor-track run`: which are found, what each leaves, and what is said of them."""
 
 import json
+import os
+from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.helpers.data_sets import make_7scenes
@@ -17,6 +20,12 @@ from vapor.track import main
 def run(sequences: list[Path], model: Path, output: Path, *words: str) -> int:
     paths = [str(path) for path in sequences]
     return main(["run", *paths, "--model", str(model), "--output", str(output), *SMALL, "--no-recording", *words])
+
+
+def refused(*arguments) -> bool:
+    with pytest.raises(SystemExit) as ended:
+        run(*arguments)
+    return ended.value.code == 2
 
 
 def summary_of(output: Path) -> dict:
@@ -120,7 +129,7 @@ def test_a_batch_gives_each_sequence_what_it_gets_alone_and_one_summary(
     assert "°" in rows["walk"]
     assert "°" not in rows["bag"]
     assert "3 sequences, 14 images" in printed.out
-    assert names(out) == {"bag", "walk", "summary.json"}
+    assert names(out) == {"bag", "walk", "summary.json", "summary.html"}
 
     summary = summary_of(out)
     assert (summary["model"], summary["sequences_done"], summary["sequences_in_all"]) == ("tiny.safetensors", 3, 3)
@@ -130,6 +139,17 @@ def test_a_batch_gives_each_sequence_what_it_gets_alone_and_one_summary(
     assert by_name["walk"]["median_translation_m"] == report["filter"]["median_translation_m"]
     assert by_name["walk"]["status"] == report["status"]
     assert by_name["walk"]["success"] == report["filter"]["success"]
+    assert by_name["walk"]["states"].keys() <= {"right", "wrong", "ambiguous", "lost"}
+    assert sum(by_name["walk"]["states"].values()) == pytest.approx(1.0)
+    truth = np.loadtxt(out / "walk" / "ground_truth.tum")[:, 1:4]
+    np.testing.assert_allclose(by_name["walk"]["visited"]["positions_m"], truth, atol=0.0051)
+    assert by_name["walk"]["visited"]["are_true"]
+    estimate = np.loadtxt(out / "bag" / "trajectory.tum")[:, 1:4]
+    np.testing.assert_allclose(by_name["bag"]["visited"]["positions_m"], estimate, atol=0.0051)
+    assert not by_name["bag"]["visited"]["are_true"]
+    page = (out / "summary.html").read_text()
+    assert 'href="walk/report.html"' in page
+    assert "expected the MCAP magic" in page
     assert by_name["bag"]["median_translation_m"] is None
     assert by_name["bag"]["final_status"] in ("converged", "ambiguous", "lost")
     assert (summary["total"]["failed"], summary["total"]["images"], summary["total"]["judged"]) == (1, 14, 1)
@@ -157,7 +177,8 @@ def test_an_interrupted_batch_keeps_what_was_finished_whole(bags, tiny_model, tm
     printed = capsys.readouterr()
     assert printed.err.splitlines()[-1] == "vapor-track run: interrupted"
     assert "1 sequence, 6 images" in printed.out
-    assert names(out) == {"bag", "summary.json"}
+    assert names(out) == {"bag", "summary.json", "summary.html"}
+    assert "1 of 2 recordings are not done" in (out / "summary.html").read_text()
     assert (out / "bag" / "report.json").is_file()
     summary = summary_of(out)
     assert (summary["sequences_done"], summary["sequences_in_all"]) == (1, 2)
@@ -192,8 +213,111 @@ def test_a_sequence_that_used_hardly_any_of_its_images_fails_unless_it_may(tiny_
     printed = capsys.readouterr()
     assert "attic.mcap: Only 2 of 30 images were used: 28 were skipped: after odometry ends. Exp" in printed.out
     assert printed.err.splitlines()[-1] == "vapor-track run: 1 of 2 sequences failed: attic"
-    assert names(tmp_path / "out") == {"hall", "summary.json"}
+    assert names(tmp_path / "out") == {"hall", "summary.json", "summary.html"}
     assert run([bags], tiny_model, tmp_path / "out", "--allow-few-images") == 0
     last = "Fewer than half of the images were used in 1 of 2 sequences: attic."
     assert capsys.readouterr().out.splitlines()[-1] == last
     assert {row["name"]: row["images"] for row in summary_of(tmp_path / "out")["sequences"]} == {"attic": 2, "hall": 6}
+
+
+# --- goes on -------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def runs(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Names of the sequences that are localized."""
+    found: list[str] = []
+    real = batch_module.run
+    monkeypatch.setattr(
+        batch_module,
+        "run",
+        lambda sequence, *rest, **options: found.append(sequence.stem) or real(sequence, *rest, **options),
+    )
+    return found
+
+
+@pytest.mark.usefixtures("unchecked", "plain_results")
+def test_resume_keeps_complete_results_and_localizes_the_rest(bags, tiny_model, tmp_path, runs, capsys):
+    out = tmp_path / "out"
+    assert run([bags / "bag"], tiny_model, out / "bag") == 0  # as a task of a job array does
+    assert run([bags], tiny_model, out, "--resume") == 1
+    assert runs == ["broken", "walk"]
+    first = summary_of(out)
+    assert {row["name"]: row["images"] for row in first["sequences"]} == {"bag": 6, "broken": 0, "walk": 8}
+    assert run([bags], tiny_model, out, "--resume") == 1
+    assert runs == ["broken", "walk", "broken"]
+    assert summary_of(out) == first
+    assert run([bags], tiny_model, out, "--resume", "--seed", "1") == 1  # other settings
+    assert runs[3:] == ["bag", "broken", "walk"]
+    (out / "walk" / "trajectory.tum").unlink()
+    assert run([bags], tiny_model, out, "--resume", "--seed", "1") == 1
+    assert runs[6:] == ["broken", "walk"]
+    assert run([bags], tiny_model, out) == 1
+    assert runs[8:] == ["bag", "broken", "walk"]
+    capsys.readouterr()
+    assert refused([bags / "bag"], tiny_model, tmp_path / "alone", "--resume")
+    assert capsys.readouterr().err.startswith("vapor-track run: --resume with one sequence, expected several")
+
+
+# --- on a Dask scheduler ---------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def scheduler():
+    """The address of a Dask scheduler whose worker is this process."""
+    distributed = pytest.importorskip("distributed", reason="distributed is not installed")
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
+    ) as cluster:
+        yield cluster.scheduler_address
+
+
+@pytest.mark.usefixtures("unchecked", "plain_results")
+def test_workers_of_a_scheduler_give_what_this_process_gives(bags, tiny_model, tmp_path, monkeypatch, scheduler):
+    assert run([bags], tiny_model, tmp_path / "here") == 1
+    monkeypatch.chdir(bags.parent)
+    assert run([Path(bags.name)], tiny_model, tmp_path / "there", "--dask", scheduler) == 1
+    here, there = summary_of(tmp_path / "here"), summary_of(tmp_path / "there")
+    assert [row.pop("sequence") for row in there["sequences"]] == [
+        os.path.relpath(row.pop("sequence")) for row in here["sequences"]
+    ]
+    assert here == there
+    assert names(tmp_path / "here") == names(tmp_path / "there")
+    for name in ("trajectory.tum", "smoothed.tum", "status.csv"):
+        assert (tmp_path / "here" / "bag" / name).read_bytes() == (tmp_path / "there" / "bag" / name).read_bytes()
+
+
+def test_a_worker_that_does_not_see_the_files_or_cannot_write_is_named(
+    bags, tiny_model, tmp_path, monkeypatch, capsys, scheduler
+):
+    @contextmanager
+    def elsewhere(place, name):
+        yield tmp_path / "on" / "another" / "disk"
+
+    monkeypatch.setattr(batch_module, "workspace", elsewhere)
+    assert run([bags], tiny_model, tmp_path / "out", "--dask", scheduler) == 1
+    said = capsys.readouterr().err
+    assert "another/disk: is not there on " in said
+    assert "expected a file system that all machines share, with the same paths" in said
+    monkeypatch.undo()
+    monkeypatch.setattr(batch_module.os, "access", lambda *_: False)
+    assert run([bags], tiny_model, tmp_path / "out", "--dask", scheduler) == 1
+    assert "out: cannot write on " in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["--dask", "tcp://h:1", "--workers", "2"], "--workers beside --dask, expected one of them"),
+        (["--dask", "tcp://h:1", "--view"], "--view beside --dask"),
+    ],
+)
+def test_options_that_do_not_go_together_are_refused(bags, tiny_model, tmp_path, capsys, words, expected):
+    assert refused([bags], tiny_model, tmp_path / "out", *words)
+    assert expected in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_one_sequence_needs_no_scheduler(bags, tiny_model, tmp_path, capsys):
+    assert refused([bags / "bag"], tiny_model, tmp_path / "out", "--dask", "tcp://h:1")
+    assert "--dask with one sequence, expected several, or a folder of them" in capsys.readouterr().err

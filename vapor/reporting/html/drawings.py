@@ -14,12 +14,11 @@ from filtering.estimate import STATUSES
 from filtering.storeys import up_axis
 from vapor.reporting.drawing import jumps
 from vapor.reporting.html.page import Block, table
+from vapor.reporting.html.plans import Plans, line
 from vapor.reporting.outline import Outline
 from vapor.reporting.record import RunRecord
 
 _MOST_POINTS = 1500  # of a path
-_SIDE = 1000  # of the longer side of a plan, in its own units
-_TAIL, _MARGIN = 0.01, 0.04  # of the points, outside of a plan; of its longer side, around it
 _DIAGRAM = 260  # side of a diagram, pixels
 _LABELS = 50  # below and to the left of it
 
@@ -51,52 +50,23 @@ def status_strip(record: RunRecord) -> Block:
 
 def plan(record: RunRecord, outline: Outline) -> Block:
     """The place from above under the path of the filter: one plan, or one of each storey that the path is on."""
-    poses, storeys = record.methods["filter"].poses, record.storeys
-    up = up_axis(poses) if storeys is None else np.array(storeys.up)
-    right = np.eye(3)[int(np.argmin(np.abs(up)))]
-    on_plan = np.stack([right, -np.cross(up, right)], axis=1)  # x to the right, y down
-    points, path = outline.points @ on_plan, poses.translation @ on_plan
+    path = record.methods["filter"].poses
     true_path = np.empty((0, 3)) if record.truth is None else record.truth.poses.translation
-    truth, thin, thin_truth = true_path @ on_plan, ThinnedPath.of(poses.translation), ThinnedPath.of(true_path)
-    low, high = np.quantile(points, [_TAIL, 1.0 - _TAIL], axis=0)
-    low, high = np.minimum(low, path.min(axis=0)), np.maximum(high, path.max(axis=0))
-    margin = max(_MARGIN * float((high - low).max()), 1e-3)
-    low, size = low - margin, high - low + 2.0 * margin
-    scale = _SIDE / float(size.max())
-    of_points, of_path, of_truth = (np.zeros(len(each), np.int64) for each in (points, path, truth))
-    if storeys is not None:
-        of_points = np.searchsorted(storeys.cuts_m, outline.points @ up)
-        of_path = storeys.of(poses)
-        of_truth = of_truth if record.truth is None else storeys.of(record.truth.poses)
+    plans = Plans.of(outline, path.translation, record.storeys, up_axis(path))
+    thin, thin_truth = ThinnedPath.of(path.translation), ThinnedPath.of(true_path)
+    at, truth = plans.drawn(path.translation), plans.drawn(true_path)
+    of_path, of_truth = plans.storey(path.translation), plans.storey(true_path)
     doubted = np.array([status != "converged" for status in record.status])
-    bar_m = _round_length(float(size.max()) / 5.0)
-    plans = []
-    for number in np.unique(of_path).tolist():
-        shown = (points[of_points == number] >= low) & (points[of_points == number] <= low + size)
-        dots = ((points[of_points == number][shown.all(axis=1)] - low) * scale).round().astype(int)
-        lines = [
-            ("points", "".join(f"M{x} {y}h0" for x, y in dots.tolist())),
-            ("path", _polylines((path - low) * scale, of_path == number, thin)),
-            ("doubted", _polylines((path - low) * scale, (of_path == number) & doubted, thin)),
-            ("truth", _polylines((truth - low) * scale, of_truth == number, thin_truth)),
-            ("bar", f"M{_SIDE * _MARGIN:.0f} {scale * size[1] - 14:.0f}h{bar_m * scale:.0f}"),
-        ]
-        name = "" if storeys is None else f"storey {number}, {storeys.heights_m[number]:.1f} m"
-        caption = f"<figcaption>{name}</figcaption>" if name else ""
-        drawn = "".join(f'<path class="{kind}" d="{d}"/>' for kind, d in lines if d)
-        plans.append(
-            f'<figure><svg class="plan" viewBox="0 0 {scale * size[0]:.0f} {scale * size[1]:.0f}" role="img"'
-            f' aria-label="{escape(f"The path and {outline.what} from above, {name}".rstrip(", "))}">{drawn}</svg>'
-            f"{caption}</figure>"
-        )
-    kinds = [("points", outline.what), ("path", "particle filter")]
-    kinds += [("doubted", "not converged")] if doubted.any() else []
-    kinds += [("truth", "truth")] if record.truth is not None else []
-    key = "".join(f'<span><i class="{kind}"></i>{escape(words)}</span>' for kind, words in kinds)
-    return Block(
-        f'<div class="plans">{"".join(plans)}</div><p class="note key">{key}<span><i class="bar"></i>{bar_m:g} m</span>'
-        "</p>"
-    )
+    marks = {
+        number: line("path", _polylines(at, of_path == number, thin))
+        + line("doubted", _polylines(at, (of_path == number) & doubted, thin))
+        + line("truth", _polylines(truth, of_truth == number, thin_truth))
+        for number in np.unique(of_path).tolist()
+    }
+    key = [("path", "particle filter")]
+    key += [("doubted", "not converged")] if doubted.any() else []
+    key += [("truth", "truth")] if record.truth is not None else []
+    return plans.block(marks, key, "The path")
 
 
 def reliability(of_report: Mapping[str, Mapping[str, Any]]) -> Block:
@@ -133,12 +103,6 @@ def reliability(of_report: Mapping[str, Mapping[str, Any]]) -> Block:
     ]
     numbers = table(("weight", "images", "stated", "right"), rows, "The best mode, by its weight")
     return Block(f'<div class="pair"><figure>{diagram}</figure>{numbers.html}</div>')
-
-
-def _round_length(length_m: float) -> float:
-    """The largest of 1, 2, 5, 10, ... metres, or of fractions of these, that is no longer."""
-    power = 10.0 ** np.floor(np.log10(length_m))
-    return float(power * max(part for part in (1.0, 2.0, 5.0) if part * power <= length_m * (1.0 + 1e-9)))
 
 
 def _polylines(points: Float64[np.ndarray, "n 2"], mask: Bool[np.ndarray, " n"], path: ThinnedPath) -> str:

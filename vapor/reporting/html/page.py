@@ -11,6 +11,7 @@ from functools import cache
 from html import escape
 from importlib import resources
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal
 
 from sequences.atomic import atomic_output
@@ -43,16 +44,17 @@ def table(
     ours: Container[int] = (),
     *,
     words: bool = False,
+    links: Mapping[str, str] = MappingProxyType({}),
 ) -> Block:
     """A table, whose first column names the rows; the caption is also its name for a screen reader.
 
-    Rows with the numbers `ours` are bold. Cells of words are wrapped, unlike figures; two figures in a cell, which two
-    spaces are between, are wrapped on a narrow screen.
+    Rows with the numbers `ours` are bold; names of rows with an address among `links` lead there. Cells of words are
+    wrapped, unlike figures; two figures in a cell, which two spaces are between, are wrapped on a narrow screen.
     """
     cells = (f'<th scope="col">{escape(name)}</th>' if name else "<td></td>" for name in columns)
     head = f"<thead><tr>{''.join(cells)}</tr></thead>" if any(columns) else ""
     body = "".join(
-        f'<tr{" class=ours" if number in ours else ""}><th scope="row">{escape(row[0])}</th>'
+        f'<tr{" class=ours" if number in ours else ""}><th scope="row">{_linked(row[0], links)}</th>'
         + "".join(f"<td{' class=two' if '  ' in cell else ''}>{escape(cell)}</td>" for cell in row[1:])
         + "</tr>"
         for number, row in enumerate(rows)
@@ -62,6 +64,10 @@ def table(
         f'<div class="scroll" role="region" tabindex="0" aria-label="{escape(caption)}"><table{kind}>'
         f"<caption>{escape(caption)}</caption>{head}<tbody>{body}</tbody></table></div>"
     )
+
+
+def _linked(name: str, links: Mapping[str, str]) -> str:
+    return f'<a href="{escape(links[name])}">{escape(name)}</a>' if name in links else escape(name)
 
 
 def picture(image: bytes, alt: str, caption: str = "") -> Block:
