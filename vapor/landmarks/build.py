@@ -188,29 +188,28 @@ def gather(
         given: Gives the points of a reconstruction in a training image, by its number, if any.
         advance: Called with the number of key images done, and of all.
     """
-    count = _FEATURES
 
     @cache
     def raw(image: int) -> Features:
-        return extract(view(image), count, longest=VIEW_PX)
+        return extract(view(image), _FEATURES, longest=VIEW_PX)
 
     depth_m = typical_depth_m(poses, raw, ViewCamera(camera), scale_m=scale_m)
     if depth_m is None:
         return None
     key = _key_images(poses, depth_m)
     some = np.linspace(0, len(key) - 1, min(len(key), _OF_IMAGES)).round().astype(np.int64)
-    sampled = _sampled([raw(image) for image in key[some].tolist()], np.random.default_rng(0))
-    if many := len(key) > _OF_IMAGES:
-        raw.cache_clear()  # what all images show is too much to be kept as it is
+    known = {image: raw(image) for image in key[some].tolist()}
+    raw.cache_clear()  # what all images show is too much to be kept as it is
+    sampled = _sampled([*known.values()], np.random.default_rng(0))
     if len(sampled) < _LEAST_POINTS:
         return None
     basis = Basis.of(sampled)
     count = int(np.clip(_MOST_FEATURES / len(key), _LEAST_FEATURES, _FEATURES))
-    reduced = []
+    known, reduced = known if count == _FEATURES else {}, []
     for done, image in enumerate(key.tolist()):
         if advance is not None:
             advance(done, len(key))
-        reduced.append(basis.reduced(extract(view(image), count, longest=VIEW_PX) if many else raw(image)))
+        reduced.append(basis.reduced(known.pop(image, None) or extract(view(image), count, longest=VIEW_PX)))
     own = poses[key]
     pairs = {(min(i, j), max(i, j)) for i, others in neighbours(own, depth_m) for j in others.tolist()}
     descriptors = [each.descriptors for each in reduced]

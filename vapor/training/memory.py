@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Bool, Float, Float64, Int64, UInt8
 from torch import Tensor
 
-from vapor.evaluation.validation import batches
+from vapor.evaluation.seen_images import features_of
 from vapor.regressors.base import PoseRegressor
 from vapor.regressors.retrieval import RetrievalRegressor
 from vapor.training.augment import Variation, draw_variation, jitter_and_normalise, one_ahead, random_crops
@@ -122,13 +122,6 @@ def extract_training_features(
         torch.from_numpy(way).float().to(device),
         torch.from_numpy(np.where(_shown_again(images, way), 1.0, _ALONE)).float().to(device),
     )
-
-
-@torch.no_grad()
-def features_of(network: RetrievalRegressor, images: TrainingSet) -> Float[Tensor, "n f"]:
-    """Features of the centre crops of images."""
-    none = torch.empty(0, len(network.centre), device=network.pixel_mean.device)
-    return torch.cat([none, *(network.extract_features(crops) for _, crops in batches(network, images))])
 
 
 def remember(network: PoseRegressor, features: TrainingFeatures | None) -> None:

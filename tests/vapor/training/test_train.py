@@ -18,7 +18,7 @@ from vapor.regressors.loss_config import LossConfig
 from vapor.regressors.network_config import make_regressor
 from vapor.regressors.scene_box import SceneBox
 from vapor.tensor_files import CheckpointError
-from vapor.training.epoch import update_average
+from vapor.training.epoch import averaged, update_average
 from vapor.training.state import parameter_groups
 from vapor.training.train import train_on, train_on_images
 from vapor.training_data.load import load_training_set
@@ -123,7 +123,7 @@ def test_the_average_follows_weights_and_statistics_and_copies_counts():
     network.backbone.bn1.num_batches_tracked.fill_(7)
     for step, stays in ((0, 0.1), (5, 6 / 15), (10**6, 0.9)):
         before = {name: value.clone() for name, value in average.state_dict().items()}
-        update_average(average, network, 0.9, step)
+        update_average(averaged(average, network), 0.9, step)
         for name, value in average.state_dict().items():
             now = network.state_dict()[name]
             expected = stays * before[name] + (1 - stays) * now if value.is_floating_point() else now
