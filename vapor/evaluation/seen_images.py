@@ -17,7 +17,7 @@ from vapor.regressors.ood_model import description_size
 from vapor.regressors.retrieval import RetrievalRegressor
 from vapor.training_data.training_set import SeenImages, TrainingSet
 
-_BATCH = 64
+_BATCH, _GPU_BATCH = 16, 64  # larger maps are too large to stay mapped: a third of a processor's time goes to pages
 
 
 @torch.no_grad()
@@ -42,14 +42,15 @@ def describe_images(network: PoseRegressor, images: TrainingSet) -> Float32[np.n
 
 
 def crops_of(
-    network: PoseRegressor, images: UInt8[np.ndarray, "m h w 3"], rows: Int64[np.ndarray, " n"], size: int = _BATCH
+    network: PoseRegressor, images: UInt8[np.ndarray, "m h w 3"], rows: Int64[np.ndarray, " n"], size: int | None = None
 ) -> Iterator[tuple[slice, UInt8[Tensor, "b h2 w2 3"]]]:
-    """Slices of some rows of images, and the centre crops of these, on the network's device."""
-    config = network.config
+    """Slices of some rows of images, and the centre crops of these, on the network's device, `size` at a time."""
+    config, device = network.config, network.pixel_mean.device
+    size = size or (_BATCH if device.type == "cpu" else _GPU_BATCH)
     for start in range(0, len(rows), size):
         whole = images[rows[start : start + size]]
         crops = np.stack([centre_crop(image, config.image_width, config.image_height) for image in whole])
-        yield slice(start, start + len(crops)), torch.from_numpy(crops).to(network.pixel_mean.device)
+        yield slice(start, start + len(crops)), torch.from_numpy(crops).to(device)
 
 
 def _seen(network: RetrievalRegressor, images: TrainingSet) -> SeenImages:

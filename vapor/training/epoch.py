@@ -186,9 +186,7 @@ def uses_bfloat16(config: TrainConfig, device: torch.device) -> bool:
 def averaged(average: PoseRegressor, network: PoseRegressor) -> list[tuple[Tensor, Tensor]]:
     """Weights and BatchNorm statistics of an average and of its network, but of a backbone that never learns."""
     mine, its = average.state_dict(), network.state_dict()
-    return [
-        (mine[name], its[name]) for name in mine if not (network.frozen_backbone and name.startswith("backbone."))
-    ]
+    return [(mine[name], its[name]) for name in mine if not (network.frozen_backbone and name.startswith("backbone."))]
 
 
 @torch.no_grad()

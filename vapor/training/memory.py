@@ -24,7 +24,7 @@ _CHUNK = 512
 VARIANTS = 6
 """Greatest number of variations of each training image."""
 _VARIANTS_BYTES = 10**9
-_BATCH = 64
+_BATCH, _BACKBONE_BATCH = 64, 32  # varied, and seen by the backbone, at a time
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,8 @@ class TrainingFeatures:
                 pixels = torch.from_numpy(crops).to(device)
                 images = jitter_and_normalise(pixels, network.pixel_mean, network.pixel_std, variation)
                 with torch.autocast(device.type, torch.bfloat16, enabled=bfloat16):
-                    features[part] = network.extract_features(images).to(features.dtype)
+                    found = [network.extract_features(some) for some in images.split(_BACKBONE_BATCH)]
+                features[part] = torch.cat(found).to(features.dtype)
             self.variants[variant] = sum_of_all(features)
         return self.variants[variant]
 
