@@ -15,6 +15,7 @@ from rich.table import Table
 
 from sequences.options import SequenceOptions
 from sequences.outputs import refuse_other
+from vapor.allocation import keep_freed_memory
 from vapor.checkpoints.file_format import is_model
 from vapor.commands.console import OutputPath, Overwrite, parse, show, show_notices, show_skipped, usage_error
 from vapor.commands.progress import Progress, progress
@@ -101,6 +102,7 @@ def main(arguments: Sequence[str]) -> None:
         usage_error("train", "no training data, expected at least one file or folder")
     from vapor.training.processes import joined_processes
 
+    keep_freed_memory()
     with joined_processes(options.config.device):
         _train(options)
 

@@ -131,6 +131,14 @@ def test_the_average_follows_weights_and_statistics_and_copies_counts():
     assert int(average.backbone.bn1.num_batches_tracked) == 7
 
 
+def test_a_backbone_that_never_learns_is_not_averaged():
+    box = SceneBox((0.0,) * 3, (1.0,) * 3)
+    network, average = (make_regressor(replace(TINY.network, head="retrieval"), box) for _ in range(2))
+    followed = {mine.data_ptr() for mine, _ in averaged(average, network)}
+    for name, value in average.state_dict().items():
+        assert (value.data_ptr() in followed) != name.startswith("backbone.")
+
+
 def test_stated_seconds_are_of_training_without_evaluation(tmp_path, monkeypatch):
     def slowly(*args, **kwargs):
         time.sleep(0.1)
