@@ -22,7 +22,7 @@ from sequences.odometry_fit.result import OdometryFit
 from sequences.options import SequenceOptions
 from vapor.calibration.error_correlation import LEAST_IMAGES, Travel
 from vapor.calibration.image_errors import LEAST_OUTLIERS, Change, fit_errors, ordinary_score
-from vapor.calibration.ood_model import EXEMPLARS, extract_features, learn_ood_model
+from vapor.calibration.ood_model import EXEMPLARS, learn_ood_model
 from vapor.calibration.places import Observations
 from vapor.checkpoints.calibration import Calibration
 from vapor.checkpoints.file_format import find_model, load_checkpoint, save_checkpoint
@@ -30,6 +30,7 @@ from vapor.checkpoints.scene_scale import log_clutter_density, scene_extent, spa
 from vapor.checkpoints.stored_tensors import NETWORK
 from vapor.engines.engine import Device, resolve_device
 from vapor.evaluation.reliability import Reliability
+from vapor.evaluation.seen_images import describe_images
 from vapor.evaluation.validation import predict
 from vapor.landmarks.build import Advance
 from vapor.regressors.base import PoseRegressor
@@ -188,7 +189,7 @@ def calibrate(
         observed.append(training.select(exemplars[spaced(len(exemplars), len(chosen))]))
     found = []
     for images, samples in zip(observed, predict_all(network, observed, seed, advance), strict=True):
-        score = ood_model.ood_score(extract_features(network, images)) if ood_model is not None else None
+        score = ood_model.ood_score(describe_images(network, images)) if ood_model is not None else None
         found.append(Observations(samples, images.poses, score))
     samples, truth = found[0].samples, found[0].truth
     travel = Travel.along(held_out.poses, pass_numbers(held_out))[chosen]
@@ -286,7 +287,7 @@ def calibrate_model(
         if trained_on is None:
             scores = np.array([calibration.errors.typical_ood_score * known.threshold / ood_model.threshold])
         else:
-            features = extract_features(network, held_out.select(spaced(len(held_out), max_images)))
+            features = describe_images(network, held_out.select(spaced(len(held_out), max_images)))
             scores = ood_model.ood_score(features)
         noise = replace(calibration.errors, typical_ood_score=ordinary_score(scores))
         calibration = replace(calibration, errors=noise)
@@ -323,7 +324,7 @@ def _ood_model(
 ) -> OodModel | None:
     """The OOD model with the threshold of held-out images; None where there are too few images."""
     if trained_on is None and known is not None:
-        return known.with_threshold_of(extract_features(network, held_out.select(spaced(len(held_out), max_images))))
+        return known.with_threshold_of(describe_images(network, held_out.select(spaced(len(held_out), max_images))))
     if trained_on is None:
         numbers, which = np.unique(held_out.sequence, return_inverse=True)
         first = which % 2 == 0 if len(numbers) > 1 else np.arange(len(held_out)) < len(held_out) // 2

@@ -5,38 +5,19 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import torch
 from jaxtyping import Float32, Int64
 
-from vapor.images import centre_crop
-from vapor.regressors.backbones import Describer
+from vapor.evaluation.seen_images import describe_images
 from vapor.regressors.base import PoseRegressor
-from vapor.regressors.ood_model import CHROMA, LEAST_IMAGES, QUANTILE, OodModel, description_size
+from vapor.regressors.ood_model import CHROMA, LEAST_IMAGES, QUANTILE, OodModel
 from vapor.training_data.training_set import TrainingSet
 
 EXEMPLARS = 1000
 """Training images that an image is compared with, at most."""
 _AXES = 48
-_BATCH = 64
 _FLATTEN = 0.3  # an axis with k times less variance than the first is stretched by k^(0.3 / 2)
 _FEW_SEQUENCES, _BLOCKS = 8, 10
 _CHROMA_WEIGHT = 0.5
-
-
-def extract_features(network: PoseRegressor, images: TrainingSet) -> Float32[np.ndarray, "n d"]:
-    """Features of each image's centre crop (`Describer`), with the network in evaluation mode."""
-    config, training, device = network.config, network.training, network.pixel_mean.device
-    network.eval()
-    found = np.empty((len(images), description_size(config.backbone)), np.float32)
-    with Describer(network) as describer, torch.inference_mode():
-        for start in range(0, len(images), _BATCH):
-            whole = images.images[images.rows[start : start + _BATCH]]
-            crops = np.stack([centre_crop(image, config.image_width, config.image_height) for image in whole])
-            pixels = torch.from_numpy(crops).to(device)
-            network.backbone(network.normalise(pixels))
-            found[start : start + _BATCH] = describer.last(pixels).cpu().numpy()
-    network.train(training)
-    return found
 
 
 def learn_ood_model(network: PoseRegressor, training: TrainingSet, held_out: TrainingSet) -> OodModel | None:
@@ -49,8 +30,8 @@ def learn_ood_model(network: PoseRegressor, training: TrainingSet, held_out: Tra
     segment = training.sequence
     if len(np.unique(segment)) < _FEW_SEQUENCES:
         segment = np.arange(len(training)) * _BLOCKS // len(training)
-    ood_model = fit_ood_model(extract_features(network, training), segment)
-    return ood_model.with_threshold_of(extract_features(network, held_out))
+    ood_model = fit_ood_model(describe_images(network, training), segment)
+    return ood_model.with_threshold_of(describe_images(network, held_out))
 
 
 def fit_ood_model(features: Float32[np.ndarray, "n d"], segment: Int64[np.ndarray, " n"]) -> OodModel:

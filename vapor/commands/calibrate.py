@@ -13,6 +13,7 @@ from rich.table import Table
 from filtering.measurement_noise import Six
 from sequences.options import SequenceOptions
 from sequences.outputs import refuse_other
+from vapor.allocation import keep_freed_memory
 from vapor.checkpoints.file_format import find_model, is_model
 from vapor.commands.console import OutputPath, Overwrite, parse, show, show_notices, show_skipped, usage_error
 from vapor.commands.progress import progress
@@ -65,6 +66,7 @@ def main(arguments: Sequence[str]) -> None:
     refuse_other(o.output, "model of vapor-track", is_model, reads=reads, overwrite=o.overwrite)
     from vapor.calibration.calibrate import calibrate_model
 
+    keep_freed_memory()
     with progress("calibrating") as advance:
         result = calibrate_model(
             o.model,

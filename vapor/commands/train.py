@@ -15,6 +15,7 @@ from rich.table import Table
 
 from sequences.options import SequenceOptions
 from sequences.outputs import refuse_other
+from vapor.allocation import keep_freed_memory
 from vapor.checkpoints.file_format import is_model
 from vapor.commands.console import OutputPath, Overwrite, parse, show, show_notices, show_skipped, usage_error
 from vapor.commands.progress import Progress, progress
@@ -79,8 +80,8 @@ class Options:
     validation: Annotated[tuple[str, ...], tyro.conf.arg(metavar="DATA ...")] = ()
     """Held-out data, of other images. Default: passes over ground that other passes cover."""
     preset: Preset = "auto"
-    """Named settings; other options change single ones of them. auto: suits the data, and takes a quarter of an hour.
-    demo: the network of the models that ship. tables: small and fast, for the scenes of that name. paper-...: the
+    """Named settings; other options change single ones of them. auto: suits the data, and takes a quarter of an hour at
+    most. demo: the network of the models that ship. tables: small and fast, for the scenes of that name. paper-...: the
     paper's."""
     method: Method = None
     """The regressor and its loss. Default: the preset's: retrieval for auto, variational for all others."""
@@ -101,6 +102,7 @@ def main(arguments: Sequence[str]) -> None:
         usage_error("train", "no training data, expected at least one file or folder")
     from vapor.training.processes import joined_processes
 
+    keep_freed_memory()
     with joined_processes(options.config.device):
         _train(options)
 

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float64
+from jaxtyping import Float64
 from torch import Tensor
 
 from filtering.se3 import Poses
 from vapor.checkpoints.calibration import Calibration
+from vapor.evaluation.seen_images import crops_of, features_of
 from vapor.evaluation.trajectory import is_right
-from vapor.images import centre_crop
 from vapor.regressors.base import DensityRegressor, PoseRegressor
 from vapor.training_data.training_set import TrainingSet
 
@@ -48,15 +48,14 @@ def validate(
     seed: int,
     epoch: int,
     train_loss: float,
-    feature: Float[Tensor, "n f"] | None = None,
 ) -> Validation:
     """Evaluate the posteriors of the centre crops of held-out images, scaled as for training.
 
     The latent noise is that of the seed, the same every time; the network may be in any mode, and is left as it was.
-    For features see `predict`; `epoch` and `train_loss` are passed through.
+    `epoch` and `train_loss` are passed through.
     """
     figures = []
-    for i, samples in enumerate(predict(network, held_out, num_samples, seed, feature)):
+    for i, samples in enumerate(predict(network, held_out, num_samples, seed)):
         truth = held_out.poses[[i]]
         density = calibration.density(samples)
         log_density = density.log_density(Poses.concatenate([samples, truth]))
@@ -66,25 +65,25 @@ def validate(
     return Validation(epoch, train_loss, float(sample_recall), float(mode_recall), float(log_density))
 
 
-def predict(
-    network: PoseRegressor,
-    images: TrainingSet,
-    num_samples: int,
-    seed: int,
-    feature: Float[Tensor, "n f"] | None = None,
-) -> Iterator[Poses]:
+def predict(network: PoseRegressor, images: TrainingSet, num_samples: int, seed: int) -> Iterator[Poses]:
     """Posterior samples (num_samples,) of each image's centre crop, float32 arithmetic, with latent noise of the seed.
 
-    Images are scaled as for training; they are not used where their features, from `extract_features`, are given.
+    Images are scaled as for training.
     """
     device = network.pixel_mean.device
     generator = torch.Generator(device).manual_seed(seed)
     batch = max(1, min(_BATCH, _MAX_NOISE // (num_samples * max(1, network.noise_dim))))
-    given = feature.split(batch) if feature is not None else (crops for _, crops in batches(network, images, batch))
+    recalling = network.recalling
+    draw = network if recalling is None else recalling.sample
+    given = (
+        (crops for _, crops in batches(network, images, batch))
+        if recalling is None
+        else features_of(recalling, images).split(batch)
+    )
     for part in given:
         with torch.inference_mode():
             noise = torch.randn(len(part), num_samples, network.noise_dim, generator=generator, device=device)
-            drawn = network.sample(part, noise) if feature is not None else network(part, noise)
+            drawn = draw(part, noise)
             translation, rotation = (p.cpu().double().numpy() for p in drawn)
         for i in range(len(part)):
             yield Poses(rotation[i], translation[i])
@@ -105,11 +104,8 @@ def exact_log_density(network: PoseRegressor, images: TrainingSet) -> Float64[np
 
 def batches(network: PoseRegressor, images: TrainingSet, size: int = _BATCH) -> Iterator[tuple[slice, Tensor]]:
     """Slices of the images and their normalised centre crops; the network is in evaluation mode meanwhile."""
-    config, training = network.config, network.training
+    training = network.training
     network.eval()
-    for start in range(0, len(images), size):
-        whole = images.images[images.rows[start : start + size]]
-        crops = np.stack([centre_crop(image, config.image_width, config.image_height) for image in whole])
-        pixels = torch.from_numpy(crops).to(network.pixel_mean.device)
-        yield slice(start, start + len(crops)), network.normalise(pixels)
+    for part, pixels in crops_of(network, images.images, images.rows, size):
+        yield part, network.normalise(pixels)
     network.train(training)

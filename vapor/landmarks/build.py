@@ -18,7 +18,7 @@ from vapor.landmarks.adjustment import Adjusted, adjusted
 from vapor.landmarks.features import Basis, Features, extract, mutual_matches, stored, unit_vectors
 from vapor.landmarks.landmark_map import LandmarkMap, ViewCamera, summed_up
 from vapor.landmarks.localize import query_features
-from vapor.landmarks.points import Sightings, parallax, seen, triangulated
+from vapor.landmarks.points import Sightings, parallax, seen, summed, triangulated
 from vapor.landmarks.tracks import (
     RATIO,
     Matches,
@@ -67,6 +67,7 @@ class Material:
         key: Numbers of the key images, in order.
         poses: world_from_camera of the key images, (k,).
         features: Features of each key image, in the basis.
+        descriptors: Their descriptors, image by image, (f, d).
         basis: Basis of the descriptors.
         matches: Matching features of pairs of key images, by their index in `key`.
         depth_m: Median distance of the scene, metres.
@@ -80,6 +81,7 @@ class Material:
     key: Int64[np.ndarray, " k"]
     poses: Poses
     features: tuple[Features, ...]
+    descriptors: Float32[np.ndarray, "f d"]
     basis: Basis
     matches: Matches
     depth_m: float
@@ -130,9 +132,8 @@ class BuiltMap:
         begins = np.searchsorted(view, np.arange(used.sum() + 1))
         words, summary_axes, summaries = self._words
         poses = material.poses[np.flatnonzero(used)]
-        seen_as = np.concatenate([each.descriptors for each in material.features])[sightings.feature]
-        sums = [np.bincount(sightings.point, column, minlength=len(points)) for column in seen_as.T]
-        descriptors = unit_vectors(np.stack(sums, axis=1).astype(np.float32))
+        sums = summed(material.descriptors[sightings.feature], sightings.point, len(points))
+        descriptors = unit_vectors(sums.astype(np.float32))
         return LandmarkMap(
             material.stated,
             self.camera,
@@ -188,34 +189,35 @@ def gather(
         given: Gives the points of a reconstruction in a training image, by its number, if any.
         advance: Called with the number of key images done, and of all.
     """
-    count = _FEATURES
 
     @cache
     def raw(image: int) -> Features:
-        return extract(view(image), count, longest=VIEW_PX)
+        return extract(view(image), _FEATURES, longest=VIEW_PX)
 
     depth_m = typical_depth_m(poses, raw, ViewCamera(camera), scale_m=scale_m)
     if depth_m is None:
         return None
     key = _key_images(poses, depth_m)
     some = np.linspace(0, len(key) - 1, min(len(key), _OF_IMAGES)).round().astype(np.int64)
-    sampled = _sampled([raw(image) for image in key[some].tolist()], np.random.default_rng(0))
-    if many := len(key) > _OF_IMAGES:
-        raw.cache_clear()  # what all images show is too much to be kept as it is
+    known = {image: raw(image) for image in key[some].tolist()}
+    raw.cache_clear()  # what all images show is too much to be kept as it is
+    sampled = _sampled([*known.values()], np.random.default_rng(0))
     if len(sampled) < _LEAST_POINTS:
         return None
     basis = Basis.of(sampled)
     count = int(np.clip(_MOST_FEATURES / len(key), _LEAST_FEATURES, _FEATURES))
-    reduced = []
+    known, reduced = known if count == _FEATURES else {}, []
     for done, image in enumerate(key.tolist()):
         if advance is not None:
             advance(done, len(key))
-        reduced.append(basis.reduced(extract(view(image), count, longest=VIEW_PX) if many else raw(image)))
+        reduced.append(basis.reduced(known.pop(image, None) or extract(view(image), count, longest=VIEW_PX)))
     own = poses[key]
     pairs = {(min(i, j), max(i, j)) for i, others in neighbours(own, depth_m) for j in others.tolist()}
-    descriptors = [each.descriptors for each in reduced]
-    matches = {(i, j): mutual_matches(descriptors[i], descriptors[j], RATIO) for i, j in sorted(pairs)}
+    matches = {(i, j): mutual_matches(reduced[i].descriptors, reduced[j].descriptors, RATIO) for i, j in sorted(pairs)}
     at = ViewCamera(camera)
+    descriptors = np.concatenate([each.descriptors for each in reduced])
+    parts = np.split(descriptors, np.cumsum([len(each) for each in reduced])[:-1])
+    reduced = [replace(each, descriptors=part) for each, part in zip(reduced, parts, strict=True)]
     placed = [at_given_points(each, given(image), at) for each, image in zip(reduced, key.tolist(), strict=True)]
     matches = with_given_points(matches, [points for _, points in placed])
     return Material(
@@ -227,6 +229,7 @@ def gather(
         key,
         own,
         tuple(each for each, _ in placed),
+        descriptors,
         basis,
         matches,
         depth_m,

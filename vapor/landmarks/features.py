@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from jaxtyping import Float32, Float64, Int8, Int64, UInt8
-from scipy.spatial import KDTree
 
 SIFT_SIZE = 128
 SIZE = 64
@@ -110,10 +109,13 @@ def within(
     one: Float64[np.ndarray, "n 2"], other: Float64[np.ndarray, "m 2"], most_px: float
 ) -> tuple[Int64[np.ndarray, " p"], Int64[np.ndarray, " p"]]:
     """Indices of all pairs of pixels within this distance along both axes."""
-    if not len(one) or not len(other):
-        return np.empty(0, np.int64), np.empty(0, np.int64)
-    pairs = KDTree(one).sparse_distance_matrix(KDTree(other), most_px, p=np.inf, output_type="ndarray")
-    return pairs["i"].astype(np.int64), pairs["j"].astype(np.int64)
+    order = np.argsort(other[:, 0], kind="stable")
+    begin = np.searchsorted(other[order, 0], one[:, 0] - most_px, "left")
+    count = np.searchsorted(other[order, 0], one[:, 0] + most_px, "right") - begin
+    i = np.repeat(np.arange(len(one)), count)
+    j = order[np.arange(len(i)) + np.repeat(begin - np.cumsum(count) + count, count)]
+    near = np.abs(one[i, 1] - other[j, 1]) <= most_px
+    return i[near], j[near]
 
 
 def mutual_matches_among(

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
+from scipy.sparse import csc_matrix
 
 from filtering.se3 import Poses
 
@@ -62,16 +63,17 @@ def triangulated(
         offset = rays[:, axis] * translation[:, 2] - translation[:, axis]
         length = np.linalg.norm(plane, axis=1)
         plane, offset = plane / length[:, None], offset / length
-        normal += _summed(plane[:, :, None] * plane[:, None, :], of.point, count)
-        right -= _summed(plane * offset[:, None], of.point, count)
+        normal += summed(plane[:, :, None] * plane[:, None, :], of.point, count)
+        right -= summed(plane * offset[:, None], of.point, count)
     points = _solved(normal, right, 1e-9)
     poses = camera_from_world[of.view]
     for _ in range(_ROUNDS):
         found = seen(poses, points[of.point])
         jacobian = by_point(found, rotation)
         residual = found.at - rays
-        normal = _summed(np.einsum("mki,mkj->mij", jacobian, jacobian), of.point, count)
-        right = _summed(np.einsum("mki,mk->mi", jacobian, residual), of.point, count)
+        x, y = jacobian[:, 0], jacobian[:, 1]
+        normal = summed(x[:, :, None] * x[:, None] + y[:, :, None] * y[:, None], of.point, count)
+        right = summed(x * residual[:, :1] + y * residual[:, 1:], of.point, count)
         points = points - _solved(normal, right, 1e-3)
     return points
 
@@ -94,7 +96,7 @@ def parallax(camera_from_world: Poses, points: Float64[np.ndarray, "p 3"], of: S
     centres = camera_from_world.inverse().translation
     towards = points[of.point] - centres[of.view]
     towards /= np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-12)
-    mean = _summed(towards, of.point, len(points))
+    mean = summed(towards, of.point, len(points))
     mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-12)
     away = np.arccos(np.clip(np.vecdot(towards, mean[of.point]), -1.0, 1.0))
     widest = np.zeros(len(points))
@@ -102,10 +104,11 @@ def parallax(camera_from_world: Poses, points: Float64[np.ndarray, "p 3"], of: S
     return 2.0 * widest
 
 
-def _summed(values: np.ndarray, group: Int64[np.ndarray, " m"], count: int) -> np.ndarray:
-    flat = values.reshape(len(values), -1)
-    sums = np.stack([np.bincount(group, column, minlength=count) for column in flat.T], axis=1)
-    return sums.reshape(count, *values.shape[1:])
+def summed(values: np.ndarray, group: Int64[np.ndarray, " m"], count: int) -> np.ndarray:
+    """Sums of the m values of each of `count` groups, in double precision."""
+    each = np.arange(len(group) + 1)
+    member = csc_matrix((np.ones(len(group)), group, each), shape=(count, len(group)))
+    return (member @ values.reshape(len(values), -1)).reshape(count, *values.shape[1:])
 
 
 def _solved(normal: np.ndarray, right: np.ndarray, damping: float) -> Float64[np.ndarray, "p 3"]:

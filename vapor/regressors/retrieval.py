@@ -125,11 +125,19 @@ class RetrievalRegressor(MixtureDensity):
 
     def extract_features(self, images: Images) -> Features:
         """The backbone's numbers of normalised images, each in units of its spread over the training images."""
-        with torch.no_grad():
-            third, last = self.backbone.maps(images)
-            cells = mean_of_cells(third, _GRID).flatten(1)
-            numbers = torch.cat([last.mean(dim=(2, 3)), cells], dim=1).to(self.centre.dtype)
-            return (numbers - self.centre) / self.spread
+        return self.standardised_numbers(self.numbers(images))
+
+    @torch.no_grad()
+    def numbers(self, images: Images) -> Float[Tensor, "b f"]:
+        """The backbone's numbers of normalised images, as they are."""
+        third, last = self.backbone.maps(images)
+        cells = mean_of_cells(third, _GRID).flatten(1)
+        return torch.cat([last.mean(dim=(2, 3)), cells], dim=1).to(self.centre.dtype)
+
+    @torch.no_grad()
+    def standardised_numbers(self, numbers: Float[Tensor, "b f"]) -> Features:
+        """The backbone's numbers in units of their spread over the training images."""
+        return (numbers - self.centre) / self.spread
 
     @torch.no_grad()
     def remember(

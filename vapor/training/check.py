@@ -17,10 +17,10 @@ from filtering.se3 import Poses
 from filtering.training_prior import TrainingPrior
 from sequences.odometry_fit.result import OdometryFit
 from vapor.calibration.calibrate import CalibrationResult, predict_all
-from vapor.calibration.ood_model import extract_features
 from vapor.checkpoints.calibration import Calibration
 from vapor.checkpoints.scene_scale import default_errors
 from vapor.evaluation.consistency import REGIONS, evaluate_belief
+from vapor.evaluation.seen_images import describe_images
 from vapor.evaluation.trajectory import is_right
 from vapor.landmarks.localize import VerifiedPose
 from vapor.landmarks.verify import verified
@@ -74,7 +74,7 @@ def check(
     parts = [images.select(rows) for rows, _ in runs]
     passes, prior = [], TrainingPrior(scene, fitted.errors.radius_m, fitted.errors.radius_rad)
     for (rows, odometry), some, samples in zip(runs, parts, predict_all(network, parts, seed, advance), strict=True):
-        scores = ood_model.ood_score(extract_features(network, some)) if ood_model else np.zeros(len(rows))
+        scores = ood_model.ood_score(describe_images(network, some)) if ood_model else np.zeros(len(rows))
         found_poses: list[Sequence[VerifiedPose]] = [() for _ in rows]
         if landmarks is not None:
             for i, row in enumerate(rows.tolist()):

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 import torch
 from jaxtyping import Int64, UInt8
-from torch import Tensor, nn
+from torch import Tensor
 from torch.optim.swa_utils import get_ema_multi_avg_fn
 
+from vapor.regressors.base import PoseRegressor
 from vapor.regressors.network_config import regressor_class
 from vapor.regressors.retrieval import RetrievalRegressor
 from vapor.training.augment import Variation, draw_variation, jitter_and_normalise, one_ahead, random_crops
@@ -57,7 +58,7 @@ def train_epoch(
     else:
         losses = _losses_of_images(state, training, config, order, epoch * steps, rng, generator)
     resized = first_epoch_of_size(config, epoch) * steps  # an average over two sizes suits neither
-    total = 0.0
+    pairs, total = averaged(state.average, network), 0.0
     for number, loss in enumerate(losses):
         step = epoch * steps + number
         rate = learning_rate(config, step, steps)
@@ -66,7 +67,7 @@ def train_epoch(
         state.optimizer.zero_grad(set_to_none=True)
         loss.backward()
         state.optimizer.step()
-        update_average(state.average, network, config.ema_decay, step - resized)
+        update_average(pairs, config.ema_decay, step - resized)
         total += (value := float(mean_of_all(loss.detach())))
         if not math.isfinite(value):
             raise TrainingError(
@@ -182,15 +183,20 @@ def uses_bfloat16(config: TrainConfig, device: torch.device) -> bool:
     return bool(capabilities.get("avx512_bf16") or capabilities.get("amx_bf16"))
 
 
+def averaged(average: PoseRegressor, network: PoseRegressor) -> list[tuple[Tensor, Tensor]]:
+    """Weights and BatchNorm statistics of an average and of its network, but of a backbone that never learns."""
+    mine, its = average.state_dict(), network.state_dict()
+    return [(mine[name], its[name]) for name in mine if not (network.frozen_backbone and name.startswith("backbone."))]
+
+
 @torch.no_grad()
-def update_average(average: nn.Module, network: nn.Module, decay: float, step: int) -> None:
-    """Move the average towards the weights and BatchNorm statistics; faster in the first steps of a training.
+def update_average(pairs: Sequence[tuple[Tensor, Tensor]], decay: float, step: int) -> None:
+    """Move an average towards its network, pairs from `averaged`; faster in the first steps of a training.
 
     `decay` is the weight of the old average; with 0 there is no average, and nothing is done.
     """
     if not decay:
         return
-    pairs = list(zip(average.state_dict().values(), network.state_dict().values(), strict=True))
     numbers = [pair for pair in pairs if pair[0].is_floating_point()]
     move = get_ema_multi_avg_fn(min(decay, (1 + step) / (10 + step)))
     move([mine for mine, _ in numbers], [its for _, its in numbers], 0)

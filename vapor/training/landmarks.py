@@ -21,11 +21,11 @@ from vapor.calibration.error_correlation import (
     effective_images,
     outlier_lengths,
 )
-from vapor.calibration.ood_model import extract_features
 from vapor.calibration.verification import SeenPlaces, evidence, fit_reach, fit_verification, none_right
 from vapor.calibration.verified_errors import VerifiedErrors, fit_verified_errors, leave_out
 from vapor.checkpoints.calibration import Calibration
 from vapor.checkpoints.scene_scale import log_clutter_density, spaced
+from vapor.evaluation.seen_images import describe_images
 from vapor.evaluation.validation import predict
 from vapor.landmarks.build import Advance, BuiltMap, Material, build, gather
 from vapor.landmarks.landmark_map import ViewCamera
@@ -172,7 +172,7 @@ class HeldOutLandmarks:
         if not len(rows):
             return held
         some = split.source.select(rows)
-        scores = ood_model.ood_score(extract_features(network, some)) if ood_model else np.zeros(len(rows))
+        scores = ood_model.ood_score(describe_images(network, some)) if ood_model else np.zeros(len(rows))
         seen, which, depth_m = [], [], landmarks.built.material.depth_m
         prior = TrainingPrior(prior_poses, calibration.errors.radius_m, calibration.errors.radius_rad)
         for row, samples, score in zip(rows, predict(network, some, NUM_SAMPLES, config.seed), scores, strict=True):

@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Bool, Float, Float64, Int64, UInt8
 from torch import Tensor
 
-from vapor.evaluation.validation import batches
+from vapor.evaluation.seen_images import features_of
 from vapor.regressors.base import PoseRegressor
 from vapor.regressors.retrieval import RetrievalRegressor
 from vapor.training.augment import Variation, draw_variation, jitter_and_normalise, one_ahead, random_crops
@@ -24,7 +24,7 @@ _CHUNK = 512
 VARIANTS = 6
 """Greatest number of variations of each training image."""
 _VARIANTS_BYTES = 10**9
-_BATCH = 64
+_BATCH, _BACKBONE_BATCH = 64, 32  # varied, and seen by the backbone, at a time
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,8 @@ class TrainingFeatures:
                 pixels = torch.from_numpy(crops).to(device)
                 images = jitter_and_normalise(pixels, network.pixel_mean, network.pixel_std, variation)
                 with torch.autocast(device.type, torch.bfloat16, enabled=bfloat16):
-                    features[part] = network.extract_features(images).to(features.dtype)
+                    found = [network.extract_features(some) for some in images.split(_BACKBONE_BATCH)]
+                features[part] = torch.cat(found).to(features.dtype)
             self.variants[variant] = sum_of_all(features)
         return self.variants[variant]
 
@@ -122,13 +123,6 @@ def extract_training_features(
         torch.from_numpy(way).float().to(device),
         torch.from_numpy(np.where(_shown_again(images, way), 1.0, _ALONE)).float().to(device),
     )
-
-
-@torch.no_grad()
-def features_of(network: RetrievalRegressor, images: TrainingSet) -> Float[Tensor, "n f"]:
-    """Features of the centre crops of images."""
-    none = torch.empty(0, len(network.centre), device=network.pixel_mean.device)
-    return torch.cat([none, *(network.extract_features(crops) for _, crops in batches(network, images))])
 
 
 def remember(network: PoseRegressor, features: TrainingFeatures | None) -> None:

@@ -9,7 +9,6 @@ from time import perf_counter
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from vapor.checkpoints.calibration import Calibration
 from vapor.evaluation.validation import Validation, validate
@@ -17,7 +16,7 @@ from vapor.regressors.base import PoseRegressor
 from vapor.training.config import TrainConfig
 from vapor.training.epoch import features_for, train_epoch
 from vapor.training.holding_out import Split
-from vapor.training.memory import VARIANTS, features_of, remember
+from vapor.training.memory import VARIANTS, remember
 from vapor.training.processes import is_first
 from vapor.training.progress import Progress, ProgressCallback
 from vapor.training.schedule import evaluation_interval, finishing, step_cost, steps_in_epoch
@@ -49,7 +48,6 @@ class Trainer:
         self.epochs = state.epochs + (finishing(config).known_epochs if self.goes_on else 0)
         self.best = best_epoch(state.history, config)
         self._split, self._report = split, report
-        self._features: Tensor | None = None  # of the held-out images, by a backbone that does not learn
 
     @property
     def images_seen(self) -> int:
@@ -130,8 +128,6 @@ class Trainer:
             return
         kept = self._kept
         remember(kept, state.features)
-        if self._features is None and kept.recalling is not None:
-            self._features = features_of(kept.recalling, held_out)
         widths = Calibration(config.bandwidth_translation_m, config.bandwidth_rotation_rad)
         figures = validate(
             kept,
@@ -141,7 +137,6 @@ class Trainer:
             seed=config.seed,
             epoch=state.epoch,
             train_loss=loss,
-            feature=self._features,
         )
         state.history.append(figures)
         self.best = best_epoch(state.history, config)
@@ -177,7 +172,7 @@ def fitting_epochs(state: TrainingState, split: Split, evaluated: int, config: T
     more = config.finish * len(split.everything) if len(split.everything) > len(training) else 0.0
     evaluation = _EVALUATION * evaluated / evaluation_interval(len(training), evaluated)
     extraction, epochs = np.zeros(most), np.arange(1, most + 1)
-    if trial.features is not None:  # twice of all images, once more for each way in which they are varied
+    if trial.features is not None:  # of all images, in each way in which they are varied, and of all varied at the end
         per_pass = (stamps[1] - stamps[0]) / (2 * len(rows))
         varied = np.minimum(epochs, VARIANTS)
         extraction, evaluation = per_pass * len(split.everything) * (2 + varied), 0.0  # evaluation is quick then

@@ -7,7 +7,7 @@ from collections import Counter
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Int64, UInt8
+from jaxtyping import Bool, Float32, Int64, UInt8
 
 from filtering.errors import VaporTrackError
 from filtering.motion import Odometry
@@ -18,6 +18,23 @@ from sequences.frame import Camera
 
 class TrainingError(VaporTrackError):
     """A network cannot be trained on this data, or with this configuration."""
+
+
+@dataclass
+class SeenImages:
+    """What a backbone that never learns makes of m images, as far as it was shown them.
+
+    Attributes:
+        backbone: Checksum of its weights.
+        shown: Mask of the images that it was shown, (m,).
+        numbers: Its numbers of each of these, (m, f).
+        descriptions: Description of each of these, (m, d).
+    """
+
+    backbone: int | None = None
+    shown: Bool[np.ndarray, " m"] = field(default_factory=lambda: np.zeros(0, bool))
+    numbers: Float32[np.ndarray, "m f"] = field(default_factory=lambda: np.zeros((0, 0), np.float32))
+    descriptions: Float32[np.ndarray, "m d"] = field(default_factory=lambda: np.zeros((0, 0), np.float32))
 
 
 @dataclass(frozen=True)
@@ -42,6 +59,7 @@ class TrainingSet:
         walks: Number of the walk of each sequence, by its index: several cameras record one walk, each a sequence of
             its own. Empty where each sequence is a walk.
         cameras: Names of the cameras of recordings; empty where none is known.
+        seen: What a backbone that never learns makes of the m images; one for all selections.
     """
 
     images: UInt8[np.ndarray, "m h w 3"]
@@ -60,6 +78,7 @@ class TrainingSet:
     seen_points: tuple[SeenPoints | None, ...] = ()
     walks: tuple[int, ...] = ()
     cameras: tuple[str, ...] = ()
+    seen: SeenImages = field(default_factory=SeenImages, compare=False, repr=False)
 
     def __len__(self) -> int:
         return len(self.sequence)

@@ -14,8 +14,9 @@ from tests.helpers.sequence_files import Walk
 from tests.helpers.tiny_model import NETWORK, altered
 from vapor.benchmark.ood_images import CHANGED, OUT_OF_DISTRIBUTION, evaluate_flags
 from vapor.calibration.calibrate import calibrate_model
-from vapor.calibration.ood_model import extract_features, fit_ood_model, learn_ood_model
+from vapor.calibration.ood_model import fit_ood_model, learn_ood_model
 from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
+from vapor.evaluation.seen_images import describe_images
 from vapor.observation import VaporObservationModel
 from vapor.regressors.network_config import make_backbone, stage_channels
 from vapor.regressors.ood_model import description_size
@@ -51,7 +52,7 @@ def ood_model():
 
 
 def scores(ood_model, data):
-    return ood_model.ood_score(extract_features(REGRESSOR, data))
+    return ood_model.ood_score(describe_images(REGRESSOR, data))
 
 
 def test_an_image_learned_from_scores_about_0_and_a_new_one_of_the_place_below_1(ood_model):
@@ -70,11 +71,11 @@ def test_images_of_no_such_place_score_above_1(ood_model, kind):
 
 def test_the_threshold_is_the_larger_of_what_training_and_held_out_images_ask_for(ood_model):
     assert ood_model.threshold >= ood_model.own_distance
-    far = extract_features(REGRESSOR, images(range(60), change=lambda image: image[..., ::-1]))
+    far = describe_images(REGRESSOR, images(range(60), change=lambda image: image[..., ::-1]))
     moved = ood_model.with_threshold_of(far)
     assert moved.threshold > 1.5 * ood_model.threshold
     assert (moved.ood_score(far) <= 1.0).mean() >= 0.98
-    near = ood_model.with_threshold_of(extract_features(REGRESSOR, images(range(60))))
+    near = ood_model.with_threshold_of(describe_images(REGRESSOR, images(range(60))))
     assert near.threshold == ood_model.own_distance
     assert ood_model.with_threshold_of(far[:49]).threshold == ood_model.own_distance
 
@@ -122,7 +123,7 @@ def test_observing_gives_the_score_of_the_same_pass_and_the_same_samples_as_with
     knowing, without = (VaporObservationModel.from_checkpoint(str(p), num_samples=20) for p in (model, tiny_model))
     posterior = knowing.observe(room(7, seed=5), rng=np.random.default_rng(0))
     bare = without.observe(room(7, seed=5), rng=np.random.default_rng(0))
-    described = extract_features(checkpoint.build_network(), images([7], seed=5))
+    described = describe_images(checkpoint.build_network(), images([7], seed=5))
     assert posterior.ood_score == pytest.approx(checkpoint.ood_model.ood_score(described)[0], rel=1e-3)
     assert 0.0 < posterior.ood_score < 1.0
     assert bare.ood_score == 0.0

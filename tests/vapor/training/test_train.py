@@ -18,7 +18,7 @@ from vapor.regressors.loss_config import LossConfig
 from vapor.regressors.network_config import make_regressor
 from vapor.regressors.scene_box import SceneBox
 from vapor.tensor_files import CheckpointError
-from vapor.training.epoch import update_average
+from vapor.training.epoch import averaged, update_average
 from vapor.training.state import parameter_groups
 from vapor.training.train import train_on, train_on_images
 from vapor.training_data.load import load_training_set
@@ -123,12 +123,20 @@ def test_the_average_follows_weights_and_statistics_and_copies_counts():
     network.backbone.bn1.num_batches_tracked.fill_(7)
     for step, stays in ((0, 0.1), (5, 6 / 15), (10**6, 0.9)):
         before = {name: value.clone() for name, value in average.state_dict().items()}
-        update_average(average, network, 0.9, step)
+        update_average(averaged(average, network), 0.9, step)
         for name, value in average.state_dict().items():
             now = network.state_dict()[name]
             expected = stays * before[name] + (1 - stays) * now if value.is_floating_point() else now
             torch.testing.assert_close(value, expected)
     assert int(average.backbone.bn1.num_batches_tracked) == 7
+
+
+def test_a_backbone_that_never_learns_is_not_averaged():
+    box = SceneBox((0.0,) * 3, (1.0,) * 3)
+    network, average = (make_regressor(replace(TINY.network, head="retrieval"), box) for _ in range(2))
+    followed = {mine.data_ptr() for mine, _ in averaged(average, network)}
+    for name, value in average.state_dict().items():
+        assert (value.data_ptr() in followed) != name.startswith("backbone.")
 
 
 def test_stated_seconds_are_of_training_without_evaluation(tmp_path, monkeypatch):
