@@ -67,7 +67,9 @@ def test_importing_loads_only_the_needed_packages(code, absent):
 
 
 def _loaded_by(words):
-    code = f"import atexit, sys; atexit.register(lambda: print(*sys.modules)); from vapor.track import main; main({words})"
+    code = (
+        f"import atexit, sys; atexit.register(lambda: print(*sys.modules)); from vapor.track import main; main({words})"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     return {*done.stdout.splitlines()[-1].split()}
 
