@@ -33,3 +33,16 @@ def test_the_extra_all_has_every_other_one():
     extras = PROJECT["optional-dependencies"]
     (everything,) = extras["all"]
     assert set(re.findall(r"\w+", everything.partition("[")[2])) == extras.keys() - {"all"}
+
+
+def test_the_page_of_installation_has_every_extra():
+    page = (CHECKOUT / "docs" / "install.md").read_text(encoding="utf-8")
+    listed = re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE)
+    assert {*listed} >= PROJECT["optional-dependencies"].keys() - {"all"}
+
+
+def test_every_python_that_is_promised_is_named_on_the_page_of_installation():
+    promised = re.findall(r"Python :: (3\.\d+)", " ".join(PROJECT["classifiers"]))
+    page = (CHECKOUT / "docs" / "install.md").read_text(encoding="utf-8")
+    assert f"Python {', '.join(promised[:-1])} or {promised[-1]}" in page
+    assert PROJECT["requires-python"] == f">={promised[0]}"

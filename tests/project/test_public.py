@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 import vapor
+from tests.helpers.command_line import words_of_run
 from vapor.track import COMMANDS
 
 HEAVY = {
@@ -65,14 +66,26 @@ def test_importing_loads_only_the_needed_packages(code, absent):
     assert not absent & {*done.stdout.split()}
 
 
+def _loaded_by(words):
+    code = (
+        f"import atexit, sys; atexit.register(lambda: print(*sys.modules)); from vapor.track import main; main({words})"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return {*done.stdout.splitlines()[-1].split()}
+
+
 @pytest.mark.parametrize("command", COMMANDS)
 def test_help_loads_no_heavy_package(command):
-    code = f"import sys; from vapor.track import main; main(['{command}', '--help'])"
-    with_modules = f"import atexit, sys; atexit.register(lambda: print(*sys.modules)); {code}"
-    done = subprocess.run([sys.executable, "-c", with_modules], capture_output=True, text=True, check=True)
-    loaded = {*done.stdout.splitlines()[-1].split()}
+    loaded = _loaded_by([command, "--help"])
     assert f"vapor.commands.{command}" in loaded
     assert not HEAVY & loaded
+
+
+def test_a_run_without_a_recording_loads_what_it_uses_only(walk_of_25, tiny_model, tmp_path):
+    loaded = _loaded_by(words_of_run(walk_of_25, tiny_model, tmp_path / "out", ["--engine", "torch"]))
+    assert (tmp_path / "out" / "report.html").exists()
+    network, smoothed_poses, kalman_baseline = "torch", "gtsam", "filterpy"
+    assert HEAVY & loaded == {network, smoothed_poses, kalman_baseline}
 
 
 def test_the_documentation_lists_the_public_names():

@@ -179,7 +179,7 @@ def uses_bfloat16(config: TrainConfig, device: torch.device) -> bool:
         return torch.cuda.is_bf16_supported(including_emulation=False)
     if config.network.backbone == "efficientnet-lite0" and not regressor_class(config.network.head).frozen_backbone:
         return False
-    capabilities = torch.cpu.get_capabilities()
+    capabilities = getattr(torch.cpu, "get_capabilities", dict)()  # torch 2.6 does not tell: then float32
     return bool(capabilities.get("avx512_bf16") or capabilities.get("amx_bf16"))
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from html import escape
 from importlib import resources
+from importlib.metadata import distribution
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal
@@ -176,7 +177,8 @@ def _packed(data: bytes) -> str:
 
 @cache
 def _packed_plotly() -> str:
-    return _packed(resources.files("plotly").joinpath("package_data/plotly.min.js").read_bytes())
+    script = distribution("plotly").locate_file("plotly/package_data/plotly.min.js")  # without an import of the package
+    return _packed(Path(str(script)).read_bytes())
 
 
 def _asset(name: str) -> str:
