@@ -7,6 +7,8 @@ heaviest component); Runnalls, "Kullback-Leibler approach to Gaussian mixture re
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
@@ -66,15 +68,18 @@ def _leaders(h: Hypotheses, divergence: float) -> Int64[np.ndarray, " n"]:
     if len(heavy) == 0:
         return np.array(leader)
     leads = np.bincount(heavy).nonzero()[0]
-    information = np.linalg.inv(covariance[leads]).reshape(-1, 36)[leads.searchsorted(heavy)]
+    information = np.linalg.inv(covariance[leads]).reshape(-1, 36)
     log_det = np.linalg.slogdet(covariance)[1]
     offset = h.poses[heavy].between(h.poses[light]).log()
     second_moment = covariance[light] + offset[:, :, None] * offset[:, None, :]
-    trace = np.vecdot(information, second_moment.reshape(-1, 36))
+    trace = np.vecdot(information[leads.searchsorted(heavy)], second_moment.reshape(-1, 36))
     close = 0.5 * (trace - 6.0 + log_det[heavy] - log_det[light]) < divergence
-    for i, j in zip(heavy[close].tolist(), light[close].tolist(), strict=True):  # the heaviest first
-        if leader[i] == i and leader[j] == j:
-            leader[j] = i
+    heavy, light = heavy[close], light[close]
+    starts = np.diff(heavy, prepend=-1).nonzero()[0]
+    for i, (begin, end) in zip(heavy[starts].tolist(), pairwise([*starts.tolist(), len(heavy)]), strict=True):
+        if leader[i] == i:  # the heaviest come first
+            for j in light[begin:end].tolist():
+                leader[j] = i if leader[j] == j else leader[j]
     return np.array(leader)
 
 

@@ -18,7 +18,7 @@ from tests.helpers.command_line import main
 from tests.helpers.simulated_run import simulated_record
 from vapor.commands import console
 from vapor.commands.terminal import Signals, write_error
-from vapor.pipeline.batch import Outcome, format_batch
+from vapor.reporting.outcome import Outcome, format_batch
 from vapor.reporting.report import build_report, format_table
 
 COMMAND = [sys.executable, "-c", "from vapor.track import main; raise SystemExit(main())"]

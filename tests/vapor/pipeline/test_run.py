@@ -104,6 +104,7 @@ def test_the_report_has_exactly_the_keys_of_its_contract(finished):
         "consistency",
         "storeys",
         "reliability",
+        "notices",
     }
     assert set(report["consistency"]) == {"images", "wrong", "coverage", "median_nees"}
     assert report["frames"] == 25
