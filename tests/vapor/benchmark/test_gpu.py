@@ -13,6 +13,7 @@ import torch
 from filtering.se3 import Poses
 from sequences.frame import Trajectory
 from tests.helpers.command_line import refuse
+from tests.helpers.full import full
 from vapor.benchmark.__main__ import main
 from vapor.benchmark.commands import gpu
 from vapor.benchmark.gpu import network, parity, tracking, training
@@ -35,6 +36,7 @@ def test_a_missing_gpu_is_told(tmp_path, capsys, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
+@full
 def test_every_stage_runs_on_a_processor_and_all_figures_are_written(rough_light, tmp_path, capsys):
     assert main([*TINY_WORDS, "--output", str(tmp_path / "a.json")]) == 0
     out, found = capsys.readouterr().out, json.loads((tmp_path / "a.json").read_text())

@@ -110,7 +110,8 @@ def test_twenty_images_are_enough():
 
 
 @pytest.mark.usefixtures("unchecked")
-def test_training_calibrates_at_its_end_and_stores_values_and_gains(tmp_path):
+def test_training_calibrates_at_its_end_and_stores_values_and_gains(tmp_path, monkeypatch):
+    monkeypatch.setattr("vapor.training.check._WIDER", (2.0,))
     config = TrainConfig(network=NETWORK, loss=LossConfig(num_samples=16), epochs=1, precision="float32", device="cpu")
     held_out = {str(k): frames_of(30, seed=k) for k in range(2)}
     stages = []
