@@ -2,18 +2,23 @@
 
 import json
 import os
+import shutil
 from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from sequences.options import SequenceOptions
 from tests.helpers.data_sets import make_7scenes
 from tests.helpers.sequence_files import BEGIN_NS, Walk, as_split_folder, rewrite
 from tests.helpers.tiny_model import SMALL
 from vapor.pipeline import batch as batch_module
 from vapor.pipeline import model as model_module
 from vapor.pipeline.batch import find_sequences, is_batch
+from vapor.pipeline.config import RunConfig
+from vapor.pipeline.model import load_model
+from vapor.pipeline.run import request_of
 from vapor.track import main
 
 
@@ -257,6 +262,45 @@ def test_resume_keeps_complete_results_and_localizes_the_rest(bags, tiny_model, 
     capsys.readouterr()
     assert refused([bags / "bag"], tiny_model, tmp_path / "alone", "--resume")
     assert capsys.readouterr().err.startswith("vapor-track run: --resume with one sequence, expected several")
+
+
+@pytest.mark.usefixtures("unchecked", "plain_results")
+def test_resume_keeps_nothing_incomplete_nor_of_other_content(bags, tiny_model, tmp_path, runs):
+    recordings, out = tmp_path / "recordings", tmp_path / "out"
+    shutil.copytree(bags / "bag", recordings / "bag")
+    recording = Walk(8).write(recordings / "walk.mcap", {"day": "1"})
+    size = recording.stat().st_size
+
+    def localized() -> list[str]:
+        runs.clear()
+        run([recordings], tiny_model, out, "--resume", "--overwrite")
+        return [*runs]
+
+    assert localized() == ["bag", "walk"]
+    assert localized() == []
+    (out / "walk" / "report.html").unlink()
+    assert localized() == ["walk"]
+    (out / "walk" / "manifest.json").unlink()
+    (out / "walk" / "smoothed.tum").unlink()
+    assert localized() == ["walk"]
+    assert (out / "walk" / "smoothed.tum").is_file()
+    Walk(8).write(recording, {"day": "2"})
+    assert recording.stat().st_size == size
+    assert localized() == ["walk"]
+
+
+def test_a_request_has_the_content_of_a_file_of_poses(bags, tiny_model, tmp_path):
+    config = RunConfig()
+    model, poses = load_model(str(tiny_model), config), tmp_path / "poses.tum"
+
+    def request() -> str:
+        return request_of(bags / "kitchen" / "walk.mcap", model, config, SequenceOptions(poses=poses))
+
+    poses.write_text("0 0 0 0 0 0 0 1\n")
+    first = request()
+    assert request() == first
+    poses.write_text("0 0 0 1 0 0 0 1\n")
+    assert request() != first
 
 
 # --- on a Dask scheduler ---------------------------------------------------------------------------------
