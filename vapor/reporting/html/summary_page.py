@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter, defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -265,4 +266,4 @@ def _recordings(outcomes: Sequence[Outcome]) -> list[Block]:
 
 
 def _report(outcome: Outcome) -> str:
-    return f"{quote(outcome.name)}/report.html"
+    return f"{quote(os.fsencode(outcome.name))}/report.html"
