@@ -6,7 +6,7 @@ import json
 import os
 import socket
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from functools import lru_cache, partial
@@ -145,6 +145,14 @@ def run_batch(
         output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise VaporTrackError(f"{output}: cannot write: {error.strerror or error}") from error
+    gone: frozenset[str] = frozenset()
+    beside: list[Path] = []  # what workers of a scheduler read beside the sequences
+    if scheduler is not None:
+        gone = frozenset(name for name, sequence in sequences.items() if not sequence.exists())
+        if reading is not None and reading.poses is not None:
+            reading = replace(reading, poses=reading.poses.absolute())
+        files = [loaded.file.absolute(), *(() if reading is None else reading.files_read)]
+        beside = [path for path in files if path.exists()]
     options = {"config": config, "reading": reading, "overwrite": overwrite, "resume": resume, "command": command}
     localized = partial(_localized, **options, most_positions=_MOST_POSITIONS // max(1, len(sequences)))
     here = partial(localized, model=loaded, progress=progress)
@@ -157,9 +165,9 @@ def run_batch(
 
     due_s = 0.0
     try:
-        with _shared(output, loaded.file, is_needed=scheduler is not None) as needed:
+        with _shared(output, beside) as needed:
             stated = {"file": loaded.file.absolute(), "model": loaded.name, "sha256": loaded.sha256, "config": config}
-            there = partial(_localized_elsewhere, localized, stated, needed)
+            there = partial(_localized_elsewhere, localized, stated, needed, gone)
             jobs = [(name, sequence.absolute(), output.absolute() / name) for name, sequence in sequences.items()]
             in_this_process = workers == 1 and scheduler is None
             function = here if in_this_process else there
@@ -179,13 +187,13 @@ def run_batch(
 
 
 @contextmanager
-def _shared(output: Path, model: Path, *, is_needed: bool) -> Iterator[tuple[Path, ...]]:
-    """Paths that must exist where sequences are localized elsewhere: the model, and a new folder in the output."""
-    if not is_needed:
+def _shared(output: Path, files: Sequence[Path]) -> Iterator[tuple[Path, ...]]:
+    """Paths that must exist where a scheduler's workers are: these files, and a new folder in the output; else none."""
+    if not files:
         yield ()
         return
     with workspace(output.absolute(), "shared") as folder:
-        yield model.absolute(), folder
+        yield *files, folder
 
 
 def _require_shared(needed: Sequence[Path]) -> None:
@@ -242,13 +250,14 @@ def _localized_elsewhere(
     localized: Callable[..., Outcome],
     stated: dict[str, Any],
     needed: Sequence[Path],
+    gone: Collection[str],
     name: str,
     sequence: Path,
     output: Path,
 ) -> Outcome:
-    """As `_localized` in another process, which loads the model."""
+    """As `_localized` in another process, which loads the model; sequences that were `gone` before are not needed."""
     if needed:
-        _require_shared(needed)
+        _require_shared(needed if name in gone else [sequence, *needed])
     return localized(name, sequence, output, model=_loaded_once(**stated))
 
 

@@ -349,6 +349,36 @@ def test_a_worker_that_does_not_see_the_files_or_cannot_write_is_named(
     assert "out: cannot write on " in capsys.readouterr().err
 
 
+def test_a_recording_that_a_worker_does_not_see_ends_the_run_unless_it_was_not_there_before(
+    bags, tiny_model, tmp_path, capsys, scheduler, monkeypatch
+):
+    gone, real = tmp_path / "gone.mcap", Path.exists
+    assert run([gone, bags / "broken.mcap"], tiny_model, tmp_path / "out", "--dask", scheduler) == 1
+    assert capsys.readouterr().err.endswith("2 of 2 sequences failed: gone, broken\n")
+    asked: list[Path] = []
+
+    def exists_here(path: Path, **options: bool) -> bool:
+        asked.extend([path] if path.name == "walk.mcap" else [])
+        return real(path, **options) and asked.count(path) < 2
+
+    monkeypatch.setattr(Path, "exists", exists_here)
+    walk = bags / "kitchen" / "walk.mcap"
+    assert run([walk, bags / "broken.mcap"], tiny_model, tmp_path / "out", "--dask", scheduler) == 1
+    assert f"{walk}: is not there on " in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("unchecked", "plain_results")
+def test_workers_find_a_file_of_poses_wherever_they_were_started(bags, tiny_model, tmp_path, monkeypatch, scheduler):
+    assert run([bags / "kitchen" / "walk.mcap"], tiny_model, tmp_path / "alone") == 0
+    (tmp_path / "alone" / "ground_truth.tum").rename(tmp_path / "poses.tum")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(batch_module, "_require_shared", lambda _: os.chdir("/"))  # as a worker starts elsewhere
+    words = ["--dask", scheduler, "--poses", "poses.tum"]
+    assert run([bags / "bag", bags / "broken.mcap"], tiny_model, tmp_path / "out", *words) == 1
+    row, _ = summary_of(tmp_path / "out")["sequences"]
+    assert (row["images"], row["images_with_true_pose"]) == (6, 6)
+
+
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
