@@ -119,11 +119,14 @@ def request_of(sequence: Path, model: LoadedModel, config: RunConfig, reading: S
 
 
 def _ends(file: Path) -> str:
-    """A hash of the first and the last bytes of a file."""
-    with file.open("rb") as content:
-        begin = content.read(_END_BYTES)
-        content.seek(max(0, file.stat().st_size - _END_BYTES))
-        return sha256(begin + content.read(_END_BYTES)).hexdigest()
+    """A hash of the first and the last bytes of a file; empty where it cannot be read, as its reader says so."""
+    try:
+        with file.open("rb") as content:
+            begin = content.read(_END_BYTES)
+            content.seek(max(0, file.stat().st_size - _END_BYTES))
+            return sha256(begin + content.read(_END_BYTES)).hexdigest()
+    except OSError:
+        return ""
 
 
 def run_into(
@@ -137,9 +140,9 @@ def run_into(
     command: str = "",
 ) -> RunResult:
     """As `run`, but file by file into a directory that exists."""
+    request = request_of(sequence, model, config, reading)  # a database that is open has more files
     reading = reading or SequenceOptions()
     reader = _open(sequence, reading, config, model.observation.description.cameras)
-    request = request_of(sequence, model, config, reading)
     observation = model.observation.seen_by(reader.camera)
     calibration = observation.description.calibration
     verticals = Verticals(observation.description, config.planar)
