@@ -65,6 +65,12 @@ def test_recordings_are_listed_from_the_worst_and_lead_to_their_reports():
     assert 'href="a%20%22b%22%231/report.html"' in odd
 
 
+def test_one_recording_and_one_point_outside_are_not_several():
+    words = ReadPage.of(page_of([outcome("elsewhere", {"lost": 1}, (900.0, 3.0, 1.6))])).words
+    assert words.startswith("1 recording - ")
+    assert " 1 point lies outside of the plan" in words
+
+
 def test_a_name_that_is_no_text_leads_to_its_report_too(tmp_path):
     name = os.fsdecode(b"walk-\xff")
     page = summary_page([replace(FLEET[0], name=name)], SITE, "place.safetensors", of=1)
