@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 import socket
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -10,6 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from filtering.errors import VaporTrackError
+from sequences.errors import SequenceError
+from sequences.files import read_json
 from vapor.versions import version_of
 
 if TYPE_CHECKING:
@@ -19,6 +22,7 @@ Result = TypeVar("Result")
 
 _PACKAGE = "vapor-track"
 _ANSWER_S = 10  # in which a scheduler answers, if there is one
+_ADDRESS = re.compile(r"(?:(?:tcp|tls|ucx|wss?)://)?[^/\s]+:\d+|inproc://\S+")
 _START = "dask worker SCHEDULER --nthreads 1"
 
 
@@ -79,14 +83,16 @@ def _connected(scheduler: str) -> Iterator[Client]:
         raise VaporTrackError(
             "distributed is not installed, expected it for a Dask scheduler: pip install 'vapor-track[dask]'"
         ) from error
-    address, file = (None, scheduler) if Path(scheduler).is_file() else (scheduler, None)
+    no_answer = (
+        f"{scheduler}: no Dask scheduler answers, expected the address that `dask scheduler` printed, such as"
+        " tcp://host:8786, or its --scheduler-file"
+    )
+    if (address := _address_of(scheduler)) is None:
+        raise VaporTrackError(no_answer)
     try:
-        client = Client(address, scheduler_file=file, timeout=_ANSWER_S, set_as_default=False)
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise VaporTrackError(
-            f"{scheduler}: no Dask scheduler answers, expected the address that `dask scheduler` printed, such as"
-            " tcp://host:8786, or its --scheduler-file"
-        ) from error
+        client = Client(address, timeout=_ANSWER_S, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise VaporTrackError(no_answer) from error
     log = logging.getLogger("distributed.client")
     log.addFilter(_nothing)  # a scheduler that ends is raised, and needs no traceback
     try:
@@ -94,6 +100,15 @@ def _connected(scheduler: str) -> Iterator[Client]:
             yield client
     finally:
         log.removeFilter(_nothing)
+
+
+def _address_of(scheduler: str) -> str | None:
+    """The address that is stated, or that a scheduler's file has; None where it is none, which Dask would wait for."""
+    try:
+        address = read_json(Path(scheduler))["address"] if Path(scheduler).is_file() else scheduler
+    except (SequenceError, KeyError, TypeError):
+        return None
+    return address if isinstance(address, str) and _ADDRESS.fullmatch(address) else None
 
 
 def _nothing(record: logging.LogRecord) -> bool:

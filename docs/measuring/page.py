@@ -50,7 +50,8 @@ def _provenance(entry: Measurement, result: Mapping[str, Any] | None) -> str:
         return "Not measured yet."
     on = f" on {result['processor']}" if result.get("processor") else ""
     if result.get("carried_over"):
-        return f"Published on {result['date']}, measured with earlier code{on}."
+        others = "; numbers of places, walks and runs may be others than stated" if entry.commands else ""
+        return f"Published on {result['date']}, measured with earlier code{on}{others}."
     minutes = max(round(result["seconds"] / 60), 1)
     took = f"{minutes} min" if minutes < 120 else f"{minutes / 60:.1f} h"
     changed = "" if result["commands"] == [command.strip() for command in entry.commands] else " by earlier commands"

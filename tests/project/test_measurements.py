@@ -119,7 +119,15 @@ def test_a_measurement_of_the_library_becomes_a_section_of_the_page(made_up):
     assert "network by torch, 10 samples" in result["tables"][1]["text"]
     assert f"*Measured on {result['date']}: vapor-track " in page
     assert page.count("*Published on 2026-11-25, measured with earlier code on a slow one.*") == 1
+    assert "stated" not in page  # where no command says other numbers
     assert "3 measurements: 1 by `make measurements`, " in page
+
+
+def test_figures_of_before_may_be_of_other_numbers_than_the_commands_say(made_up):
+    made_up.keep("fake", made_up.result("old"))
+    assert make(made_up, "--page") == 0
+    page = made_up.page.read_text(encoding="utf-8")
+    assert page.count("earlier code on a slow one; numbers of places, walks and runs may be others than stated.*") == 1
 
 
 def test_figures_of_several_runs_have_intervals(made_up):

@@ -1,7 +1,10 @@
 """Jobs on the workers of a Dask scheduler."""
 
+import gc
+import json
 import sys
 from collections.abc import Iterator
+from time import perf_counter
 
 import pytest
 
@@ -61,6 +64,22 @@ def test_a_scheduler_that_does_not_answer_is_named(monkeypatch):
     monkeypatch.setattr(cluster_module, "_ANSWER_S", 0.2)
     with pytest.raises(VaporTrackError, match=r"tcp://127.0.0.1:9: no Dask scheduler answers, expected the address"):
         list(in_parallel(abs, [(1,)], 1, scheduler="tcp://127.0.0.1:9"))
+
+
+@pytest.mark.parametrize("scheduler", ["", "nonsense", "127.0.0.1", "http://127.0.0.1:9", "tcp://127.0.0.1", "file"])
+def test_what_is_no_address_is_named_at_once(scheduler, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").write_text('{"address": 7}')
+    began_s = perf_counter()
+    with pytest.raises(VaporTrackError, match=f"^{scheduler}: no Dask scheduler answers, expected the address"):
+        list(in_parallel(abs, [(1,)], 1, scheduler=scheduler))
+    gc.collect()  # Dask says much about a client that never connected
+    assert perf_counter() - began_s < 5
+
+
+def test_a_scheduler_is_named_by_its_file(thread, tmp_path):
+    (tmp_path / "file").write_text(json.dumps({"address": thread.scheduler_address}))
+    assert list(in_parallel(abs, [(-1,)], 1, scheduler=str(tmp_path / "file"))) == [(0, 1)]
 
 
 def test_without_dask_the_extra_is_named(monkeypatch):

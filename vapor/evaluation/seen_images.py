@@ -56,7 +56,7 @@ def crops_of(
 def _seen(network: RetrievalRegressor, images: TrainingSet) -> SeenImages:
     """What the backbone makes of images, which it is shown unless it was before."""
     seen = images.seen
-    backbone = 0
+    backbone = zlib.crc32(f"{network.config.image_width} {network.config.image_height}".encode())
     for value in network.backbone.state_dict().values():
         backbone = zlib.crc32(value.cpu().numpy().tobytes(), backbone)
     if backbone != seen.backbone:

@@ -6,11 +6,12 @@ import json
 import os
 import socket
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from functools import lru_cache, partial
 from pathlib import Path
+from time import perf_counter
 from typing import Any
 
 from filtering.errors import VaporTrackError
@@ -19,7 +20,7 @@ from sequences.datasets.layout_helpers.packed import VIDEO_SUFFIXES
 from sequences.errors import SequenceError
 from sequences.files import read_json
 from sequences.options import SequenceOptions
-from sequences.outputs import folder_to_write, refuse_other, require_replaceable
+from sequences.outputs import folder_to_write, own_manifest, refuse_other, require_replaceable, verify
 from sequences.recordings.recording_file import SUFFIXES
 from vapor.parallel import in_parallel
 from vapor.pipeline.config import RunConfig
@@ -36,6 +37,7 @@ _FILES = (*SUFFIXES, *VIDEO_SUFFIXES)
 SUMMARY, PAGE = "summary.json", "summary.html"
 """Names of the files on the results of many sequences, beside these."""
 _MOST_POSITIONS = 20_000  # in a summary
+_PAUSE = 10  # times as long as it took to write the summary
 
 
 def is_batch(paths: Sequence[Path]) -> bool:
@@ -113,10 +115,11 @@ def run_batch(
 ) -> Iterator[Outcome]:
     """Localize many sequences, by the names of their results; each has the results that it would have alone.
 
-    The output gets a folder for each sequence, `summary.json` on those done so far, and at the end its page,
-    `summary.html`, also where sequences failed or it was interrupted. Each process loads the model once. Progress has
-    the name of a sequence, the images done and an upper bound of all; sequences that other processes localize have
-    none. One worker localizes them one after the other here. Other arguments are as of `run`.
+    The output gets a folder for each sequence, `summary.json` on those done so far (written in at most a tenth of the
+    time), and at the end its page, `summary.html`, also where sequences failed or it was interrupted. Each process
+    loads the model once. Progress has the name of a sequence, the images done and an upper bound of all; sequences that
+    other processes localize have none. One worker localizes them one after the other here. Other arguments are as of
+    `run`.
 
     Args:
         scheduler: Of Dask: its workers localize the sequences, see `in_parallel`. They see all files by the same paths.
@@ -142,39 +145,55 @@ def run_batch(
         output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise VaporTrackError(f"{output}: cannot write: {error.strerror or error}") from error
+    gone: frozenset[str] = frozenset()
+    beside: list[Path] = []  # what workers of a scheduler read beside the sequences
+    if scheduler is not None:
+        gone = frozenset(name for name, sequence in sequences.items() if not sequence.exists())
+        if reading is not None and reading.poses is not None:
+            reading = replace(reading, poses=reading.poses.absolute())
+        files = [loaded.file.absolute(), *(() if reading is None else reading.files_read)]
+        beside = [path for path in files if path.exists()]
     options = {"config": config, "reading": reading, "overwrite": overwrite, "resume": resume, "command": command}
     localized = partial(_localized, **options, most_positions=_MOST_POSITIONS // max(1, len(sequences)))
     here = partial(localized, model=loaded, progress=progress)
     done: dict[str, Outcome] = {}
+
+    def write() -> list[Outcome]:
+        in_order = [done[name] for name in sequences if name in done]
+        _write_summary(output / SUMMARY, loaded.name, in_order, of=len(sequences))
+        return in_order
+
+    due_s = 0.0
     try:
-        with _shared(output, loaded.file, is_needed=scheduler is not None) as needed:
+        with _shared(output, beside) as needed:
             stated = {"file": loaded.file.absolute(), "model": loaded.name, "sha256": loaded.sha256, "config": config}
-            there = partial(_localized_elsewhere, localized, stated, needed)
+            there = partial(_localized_elsewhere, localized, stated, needed, gone)
             jobs = [(name, sequence.absolute(), output.absolute() / name) for name, sequence in sequences.items()]
             in_this_process = workers == 1 and scheduler is None
             function = here if in_this_process else there
             for _, outcome in in_parallel(function, jobs, workers, scheduler=scheduler, given_up=_died):
                 outcome = replace(outcome, sequence=str(sequences[outcome.name]))
                 done[outcome.name] = outcome
-                in_order = [done[name] for name in sequences if name in done]
-                _write_summary(output / SUMMARY, loaded.name, in_order, of=len(sequences))
+                if (now_s := perf_counter()) >= due_s:
+                    write()
+                    due_s = now_s + _PAUSE * (perf_counter() - now_s)
                 yield outcome
     finally:
         if done:
-            in_order = [done[name] for name in sequences if name in done]
+            in_order = write()
             site = Site.of_model(loaded.observation.description, loaded.observation.storeys)
             page = summary_page(in_order, site, loaded.name, of=len(sequences), command=command)
             write_page(output / PAGE, page)
 
 
 @contextmanager
-def _shared(output: Path, model: Path, *, is_needed: bool) -> Iterator[tuple[Path, ...]]:
-    """Paths that must exist where sequences are localized elsewhere: the model, and a new folder in the output."""
-    if not is_needed:
+def _shared(output: Path, files: Sequence[Path]) -> Iterator[tuple[Path, ...]]:
+    """Paths that must exist where a scheduler's workers are: these files, and a new folder in the output; else none."""
+    if not files:
         yield ()
         return
     with workspace(output.absolute(), "shared") as folder:
-        yield model.absolute(), folder
+        yield *files, folder
 
 
 def _require_shared(needed: Sequence[Path]) -> None:
@@ -217,9 +236,10 @@ def _localized(
 
 
 def _stored(output: Path, request: str) -> StoredRun | None:
-    """Complete results of a request in a folder; None where there are none."""
+    """Complete results of a request in a folder, as its manifest lists them; None where there are none."""
     try:
-        if read_json(output / "config.json")["request"] == request:
+        if own_manifest(output) is not None and read_json(output / "config.json")["request"] == request:
+            verify(output, RESULTS)
             return read_run(output)
     except (SequenceError, KeyError, TypeError):
         pass
@@ -230,13 +250,14 @@ def _localized_elsewhere(
     localized: Callable[..., Outcome],
     stated: dict[str, Any],
     needed: Sequence[Path],
+    gone: Collection[str],
     name: str,
     sequence: Path,
     output: Path,
 ) -> Outcome:
-    """As `_localized` in another process, which loads the model."""
+    """As `_localized` in another process, which loads the model; sequences that were `gone` before are not needed."""
     if needed:
-        _require_shared(needed)
+        _require_shared(needed if name in gone else [sequence, *needed])
     return localized(name, sequence, output, model=_loaded_once(**stated))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from sequences.inertial.motion_sensors import Up
 from sequences.inertial.sequence import InertialSequence
 from sequences.inertial.topics import read_inertial, read_rides, without_metres
 from sequences.options import SequenceOptions
-from sequences.outputs import results_folder
+from sequences.outputs import Listed, results_folder
 from sequences.reader import SequenceReader
 from sequences.visual_odometry.odometry import VisualOdometry
 from sequences.visual_odometry.sequence import VisualSequence
@@ -44,6 +45,7 @@ from vapor.versions import version_of
 
 _NO_ODOMETRY = "no odometry: each hypothesis moves by an unknown velocity from image to image"
 _VISUAL = "no odometry: it is made from the images, in a unit that the filter finds; dead reckoning is in that unit"
+_SAMPLED, _END_BYTES = 100, 4096  # files of a sequence, of which both ends count
 _MOST_KEPT = 7  # images in which landmarks verified a place
 _VerifiedImage = tuple[int, UInt8[np.ndarray, "h w 3"], Camera | None, list[VerifiedPose]]
 
@@ -98,18 +100,33 @@ def files_read(sequence: Path, model: LoadedModel, reading: SequenceOptions | No
 
 
 def request_of(sequence: Path, model: LoadedModel, config: RunConfig, reading: SequenceOptions | None) -> str:
-    """A hash of what the results of a run depend on: version, model, settings, and name and size of the sequence."""
+    """A hash of what the results of a run depend on: version, model, settings, poses and sequence.
+
+    The sequence counts by name and size of its files, and by both ends of some of them, evenly spread.
+    """
     reading = reading or SequenceOptions()
-    poses = None if reading.poses is None else reading.poses.absolute()
     files = [sequence] if sequence.is_file() else sorted(path for path in sequence.rglob("*") if path.is_file())
+    poses = [path for path in reading.files_read if path.is_file()]
     settings = {
         "vapor-track": version_of("vapor-track"),
         "model": model.sha256,
         "run": asdict(config),
-        "reading": asdict(reading) | {"poses": str(poses)},
+        "reading": asdict(reading) | {"poses": [Listed.of(path).sha256 for path in poses]},
         "sequence": [(path.name, path.stat().st_size) for path in files],
+        "ends": [_ends(path) for path in files[:: 1 + len(files) // _SAMPLED]],
     }
     return digest(settings)
+
+
+def _ends(file: Path) -> str:
+    """A hash of the first and the last bytes of a file; empty where it cannot be read, as its reader says so."""
+    try:
+        with file.open("rb") as content:
+            begin = content.read(_END_BYTES)
+            content.seek(max(0, file.stat().st_size - _END_BYTES))
+            return sha256(begin + content.read(_END_BYTES)).hexdigest()
+    except OSError:
+        return ""
 
 
 def run_into(
@@ -123,7 +140,7 @@ def run_into(
     command: str = "",
 ) -> RunResult:
     """As `run`, but file by file into a directory that exists."""
-    request = request_of(sequence, model, config, reading)
+    request = request_of(sequence, model, config, reading)  # a database that is open has more files
     reading = reading or SequenceOptions()
     reader = _open(sequence, reading, config, model.observation.description.cameras)
     observation = model.observation.seen_by(reader.camera)

@@ -25,7 +25,7 @@ class SeenImages:
     """What a backbone that never learns makes of m images, as far as it was shown them.
 
     Attributes:
-        backbone: Checksum of its weights.
+        backbone: Checksum of its weights, and of the size of the crops that it was shown.
         shown: Mask of the images that it was shown, (m,).
         numbers: Its numbers of each of these, (m, f).
         descriptions: Description of each of these, (m, d).

@@ -1,6 +1,7 @@
 """Features and descriptions of images: a backbone that never learns sees each image once."""
 
 from copy import deepcopy
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -64,6 +65,17 @@ def test_features_and_descriptions_are_those_of_the_network_on_each_image(networ
         described = describer.last(pixels)
     torch.testing.assert_close(features_of(network, some), expected)
     np.testing.assert_allclose(describe_images(network, some), described.numpy(), rtol=1e-5, atol=1e-6)
+
+
+def test_crops_of_another_size_are_other_images(network, images):
+    features_of(network, images)
+    other = RetrievalRegressor(replace(RETRIEVAL, image_width=36), BOX).eval()
+    other.backbone.load_state_dict(network.backbone.state_dict())
+    other.standardise_like(network)
+    ((_, pixels),) = crops_of(other, images.images, images.rows, len(images))
+    with torch.inference_mode():
+        expected = other.extract_features(other.normalise(pixels))
+    torch.testing.assert_close(features_of(other, images), expected)
 
 
 def test_each_image_is_shown_to_a_frozen_backbone_once_whatever_is_asked_for(network, images, monkeypatch):

@@ -2,18 +2,23 @@
 
 import json
 import os
+import shutil
 from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from sequences.options import SequenceOptions
 from tests.helpers.data_sets import make_7scenes
 from tests.helpers.sequence_files import BEGIN_NS, Walk, as_split_folder, rewrite
 from tests.helpers.tiny_model import SMALL
 from vapor.pipeline import batch as batch_module
 from vapor.pipeline import model as model_module
 from vapor.pipeline.batch import find_sequences, is_batch
+from vapor.pipeline.config import RunConfig
+from vapor.pipeline.model import load_model
+from vapor.pipeline.run import request_of
 from vapor.track import main
 
 
@@ -259,6 +264,45 @@ def test_resume_keeps_complete_results_and_localizes_the_rest(bags, tiny_model, 
     assert capsys.readouterr().err.startswith("vapor-track run: --resume with one sequence, expected several")
 
 
+@pytest.mark.usefixtures("unchecked", "plain_results")
+def test_resume_keeps_nothing_incomplete_nor_of_other_content(bags, tiny_model, tmp_path, runs):
+    recordings, out = tmp_path / "recordings", tmp_path / "out"
+    shutil.copytree(bags / "bag", recordings / "bag")
+    recording = Walk(8).write(recordings / "walk.mcap", {"day": "1"})
+    size = recording.stat().st_size
+
+    def localized() -> list[str]:
+        runs.clear()
+        run([recordings], tiny_model, out, "--resume", "--overwrite")
+        return [*runs]
+
+    assert localized() == ["bag", "walk"]
+    assert localized() == []
+    (out / "walk" / "report.html").unlink()
+    assert localized() == ["walk"]
+    (out / "walk" / "manifest.json").unlink()
+    (out / "walk" / "smoothed.tum").unlink()
+    assert localized() == ["walk"]
+    assert (out / "walk" / "smoothed.tum").is_file()
+    Walk(8).write(recording, {"day": "2"})
+    assert recording.stat().st_size == size
+    assert localized() == ["walk"]
+
+
+def test_a_request_has_the_content_of_a_file_of_poses(bags, tiny_model, tmp_path):
+    config = RunConfig()
+    model, poses = load_model(str(tiny_model), config), tmp_path / "poses.tum"
+
+    def request() -> str:
+        return request_of(bags / "kitchen" / "walk.mcap", model, config, SequenceOptions(poses=poses))
+
+    poses.write_text("0 0 0 0 0 0 0 1\n")
+    first = request()
+    assert request() == first
+    poses.write_text("0 0 0 1 0 0 0 1\n")
+    assert request() != first
+
+
 # --- on a Dask scheduler ---------------------------------------------------------------------------------
 
 
@@ -303,6 +347,36 @@ def test_a_worker_that_does_not_see_the_files_or_cannot_write_is_named(
     monkeypatch.setattr(batch_module.os, "access", lambda *_: False)
     assert run([bags], tiny_model, tmp_path / "out", "--dask", scheduler) == 1
     assert "out: cannot write on " in capsys.readouterr().err
+
+
+def test_a_recording_that_a_worker_does_not_see_ends_the_run_unless_it_was_not_there_before(
+    bags, tiny_model, tmp_path, capsys, scheduler, monkeypatch
+):
+    gone, real = tmp_path / "gone.mcap", Path.exists
+    assert run([gone, bags / "broken.mcap"], tiny_model, tmp_path / "out", "--dask", scheduler) == 1
+    assert capsys.readouterr().err.endswith("2 of 2 sequences failed: gone, broken\n")
+    asked: list[Path] = []
+
+    def exists_here(path: Path, **options: bool) -> bool:
+        asked.extend([path] if path.name == "walk.mcap" else [])
+        return real(path, **options) and asked.count(path) < 2
+
+    monkeypatch.setattr(Path, "exists", exists_here)
+    walk = bags / "kitchen" / "walk.mcap"
+    assert run([walk, bags / "broken.mcap"], tiny_model, tmp_path / "out", "--dask", scheduler) == 1
+    assert f"{walk}: is not there on " in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("unchecked", "plain_results")
+def test_workers_find_a_file_of_poses_wherever_they_were_started(bags, tiny_model, tmp_path, monkeypatch, scheduler):
+    assert run([bags / "kitchen" / "walk.mcap"], tiny_model, tmp_path / "alone") == 0
+    (tmp_path / "alone" / "ground_truth.tum").rename(tmp_path / "poses.tum")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(batch_module, "_require_shared", lambda _: os.chdir("/"))  # as a worker starts elsewhere
+    words = ["--dask", scheduler, "--poses", "poses.tum"]
+    assert run([bags / "bag", bags / "broken.mcap"], tiny_model, tmp_path / "out", *words) == 1
+    row, _ = summary_of(tmp_path / "out")["sequences"]
+    assert (row["images"], row["images_with_true_pose"]) == (6, 6)
 
 
 @pytest.mark.parametrize(

@@ -154,9 +154,9 @@ def _below(caption: str) -> str:
 
 
 def write_page(path: Path, page: Page) -> None:
-    """Write a page; the file appears under its name only when complete."""
+    """Write a page; the file appears under its name only when complete. What is no text in names is `?`."""
     with atomic_output(path) as partial:
-        partial.write_text(page.html(), encoding="utf-8")
+        partial.write_text(page.html(), encoding="utf-8", errors="replace")
 
 
 def is_page(path: Path) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter, defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -83,7 +84,8 @@ def summary_page(outcomes: Sequence[Outcome], site: Site, model: str, *, of: int
     if command:
         sections.append(section("How it was made", [code(command)]))
     notices = [] if len(outcomes) == of else [f"{of - len(outcomes)} of {of} recordings are not done: the run ended."]
-    return Page(f"{of} recordings", f"Localized by {model}", _verdict(outcomes), sections, notices, steps[:MOST_STEPS])
+    title = f"{of} recording{'s' * (of != 1)}"
+    return Page(title, f"Localized by {model}", _verdict(outcomes), sections, notices, steps[:MOST_STEPS])
 
 
 def _verdict(outcomes: Sequence[Outcome]) -> str:
@@ -135,7 +137,8 @@ def _map(outcomes: Sequence[Outcome], plans: Plans, areas: Sequence[Area]) -> li
     words = "true positions" if all(known) else f"true positions where they are known, else {guesses}"
     words = words if any(known) else guesses
     note = f"Points are {words}; a click on one leads to its report."
-    note += f" {outside} points lie outside of the plan, as in another place or frame." if outside else ""
+    lie = "point lies" if outside == 1 else "points lie"
+    note += f" {outside} {lie} outside of the plan, as in another place or frame." if outside else ""
     return [*blocks, paragraph(note), *_area_table(areas, plans)]
 
 
@@ -265,4 +268,4 @@ def _recordings(outcomes: Sequence[Outcome]) -> list[Block]:
 
 
 def _report(outcome: Outcome) -> str:
-    return f"{quote(outcome.name)}/report.html"
+    return f"{quote(os.fsencode(outcome.name))}/report.html"

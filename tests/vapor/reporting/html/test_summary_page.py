@@ -1,5 +1,6 @@
 """The page of many runs: how many went well, where they failed, and what to do next."""
 
+import os
 import re
 from dataclasses import replace
 
@@ -8,6 +9,7 @@ import pytest
 
 from filtering.storeys import Storeys
 from tests.helpers.pages import ReadPage
+from vapor.reporting.html.page import write_page
 from vapor.reporting.html.summary_page import Site, summary_page
 from vapor.reporting.outcome import Outcome, Visited
 from vapor.reporting.outline import Outline
@@ -61,6 +63,20 @@ def test_recordings_are_listed_from_the_worst_and_lead_to_their_reports():
     assert 'href="gone-too/report.html"' in page
     odd = page_of([replace(FLEET[0], name='a "b"#1')])
     assert 'href="a%20%22b%22%231/report.html"' in odd
+
+
+def test_one_recording_and_one_point_outside_are_not_several():
+    words = ReadPage.of(page_of([outcome("elsewhere", {"lost": 1}, (900.0, 3.0, 1.6))])).words
+    assert words.startswith("1 recording - ")
+    assert " 1 point lies outside of the plan" in words
+
+
+def test_a_name_that_is_no_text_leads_to_its_report_too(tmp_path):
+    name = os.fsdecode(b"walk-\xff")
+    page = summary_page([replace(FLEET[0], name=name)], SITE, "place.safetensors", of=1)
+    write_page(tmp_path / "summary.html", page)
+    written = (tmp_path / "summary.html").read_text(encoding="utf-8")
+    assert 'href="walk-%FF/report.html">walk-?</a>' in written
 
 
 def test_each_image_is_a_point_where_it_was_on_its_storey_in_the_colour_of_its_state():
