@@ -21,7 +21,7 @@ from vapor.reporting.outcome import STATES, Outcome, total
 from vapor.reporting.outline import Outline
 
 _WORDS: Mapping[str, str] = {
-    "right": "right",
+    "right": "converged and right",
     "converged": "converged, true pose unknown",
     "ambiguous": "ambiguous",
     "lost": "lost",
@@ -199,8 +199,8 @@ def _area_table(areas: Sequence[Area], plans: Plans) -> list[Block]:
         )
         for area in areas
     ]
-    columns = ("area", *(["storey"] if plans.storeys else []), "middle, m", "not right", "most are", "recordings")
-    return [table(columns, rows, "Areas where at least half of the images are not right")]
+    columns = ("area", *(["storey"] if plans.storeys else []), "middle, m", "not sure, or wrong", "most are", "recordings")
+    return [table(columns, rows, "Areas where in at least half of the images it was not sure, or wrong")]
 
 
 def _of_areas(areas: Sequence[Area]) -> list[tuple[str, str]]:
