@@ -20,14 +20,14 @@ from vapor.parallel import in_parallel
 @pytest.fixture(scope="module")
 def processes() -> Iterator[LocalCluster]:
     """Two workers, each a process with one thread."""
-    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0") as cluster:
         yield cluster
 
 
 @pytest.fixture
 def thread() -> Iterator[LocalCluster]:
     """A worker in this process, which starts at once."""
-    with LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None) as cluster:
+    with LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=":0") as cluster:
         yield cluster
 
 
@@ -97,7 +97,7 @@ def test_a_worker_of_another_version_is_refused(thread, monkeypatch):
 def test_a_scheduler_of_another_version_is_refused(monkeypatch):
     monkeypatch.setattr(cluster_module, "version_of", lambda package: "0.0.0")
     with (
-        LocalCluster(n_workers=0, processes=False, dashboard_address=None) as cluster,
+        LocalCluster(n_workers=0, processes=False, dashboard_address=":0") as cluster,
         pytest.raises(VaporTrackError, match=r"Dask scheduler has vapor-track \S+, expected 0.0.0"),
     ):
         on(cluster, abs, [(1,)])
@@ -105,14 +105,14 @@ def test_a_scheduler_of_another_version_is_refused(monkeypatch):
 
 def test_a_worker_of_several_threads_is_refused():
     with (
-        LocalCluster(n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None) as cluster,
+        LocalCluster(n_workers=1, threads_per_worker=2, processes=False, dashboard_address=":0") as cluster,
         pytest.raises(VaporTrackError, match=r"has 2 threads, expected one: dask worker SCHEDULER --nthreads 1"),
     ):
         on(cluster, abs, [(1,)])
 
 
 def test_jobs_wait_for_a_worker_and_that_is_said(caplog):
-    with LocalCluster(n_workers=0, threads_per_worker=1, processes=False, dashboard_address=None) as cluster:
+    with LocalCluster(n_workers=0, threads_per_worker=1, processes=False, dashboard_address=":0") as cluster:
         monitor = cluster_module.logging.getLogger("vapor.cluster")
         monitor.addFilter(lambda record: cluster.scale(1) or True)  # as soon as it is said, there is one
         assert on(cluster, abs, [(-3,)]) == [(0, 3)]
