@@ -199,7 +199,14 @@ def _area_table(areas: Sequence[Area], plans: Plans) -> list[Block]:
         )
         for area in areas
     ]
-    columns = ("area", *(["storey"] if plans.storeys else []), "middle, m", "not sure, or wrong", "most are", "recordings")
+    columns = (
+        "area",
+        *(["storey"] if plans.storeys else []),
+        "middle, m",
+        "not sure, or wrong",
+        "most are",
+        "recordings",
+    )
     return [table(columns, rows, "Areas where in at least half of the images it was not sure, or wrong")]
 
 
