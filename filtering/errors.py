@@ -28,7 +28,7 @@ class VaporTrackError(Exception):
     """
 
     def __str__(self) -> str:
-        """The message; of a long one, long paths lose their beginnings and long words their middles, but in commands."""
+        """The message; of a long one, long paths lose beginnings and long words middles, except in commands."""
         text = super().__str__()
         if len(text) > _LONG_MESSAGE:
             text = _LONG_PATH.sub(lambda found: found[1] or f"...{found[0][-_PATH_END:]}", text)

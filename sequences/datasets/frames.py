@@ -81,8 +81,8 @@ class PosedFrames(Iterator[Frame]):
         begin, end, step = self._slice.start, self._slice.stop, self._slice.step
         if any(bound is not None and bound < 0 for bound in (begin, end, step)):
             raise SequenceError(
-                f"{self._path}: frames {as_typed(self._slice)} count from the end, which a stream does not know; expected"
-                " numbers from 0 on"
+                f"{self._path}: frames {as_typed(self._slice)} count from the end, which a stream does not know;"
+                " expected numbers from 0 on"
             )
         counter = count()
         posed = (frame for frame, _ in zip(_posed(reader, self.skipped), counter, strict=False))
