@@ -108,7 +108,7 @@ def _what_is_there(path: Path) -> str:
     above = path.parent if path.parent.name else path.absolute().parent
     with suppress(SequenceError):
         if is_data_set(above):
-            return f"images of the data set {shlex.quote(str(above))}: expected that folder, which has their true poses"
+            return f"images of a data set, expected its folder, which has their true poses: {above}"
     return f"{no_poses}; {looked_for}"
 
 

@@ -1,11 +1,9 @@
 """`vapor-track train`: interrupted ones go on, and what cannot be is refused."""
 
-import shlex
-
 import pytest
 
 from tests.helpers.command_line import refuse, skipped_in_run
-from tests.helpers.data_sets import make_tum
+from tests.helpers.data_sets import make_tum, write_image
 from tests.helpers.sequence_files import TRUTH, rewrite
 from vapor.track import main
 from vapor.training import trainer as trainer_module
@@ -92,12 +90,17 @@ def test_frames_that_are_not_there_are_told_with_how_many_are(walk_of_25, tmp_pa
         refuse(words, capsys, said)
 
 
-def test_images_of_a_data_set_are_told_to_be_its_and_no_command_is_cut(tmp_path, capsys, monkeypatch):
-    data = make_tum(tmp_path / ("a" * 70 + " " + "b" * 30))
+def test_images_of_a_data_set_are_told_to_be_its(tmp_path, capsys, monkeypatch):
+    data = make_tum(tmp_path / "desk")
     words = ["train", str(data / "rgb"), "--output", str(tmp_path / "m.safetensors")]
-    refuse(words, capsys, f"images of the data set {shlex.quote(str(data))}: expected that folder")
-    (data / "groundtruth.txt").unlink()
-    refuse(words, capsys, f"`vapor-track map {shlex.quote(str(data / 'rgb'))} --output place/` makes them")
+    refuse(words, capsys, f"images of a data set, expected its folder, which has their true poses: {data}\n")
     monkeypatch.chdir(data)
     words[1] = "rgb"
-    refuse(words, capsys, "`vapor-track map rgb --output place/` makes them")
+    refuse(words, capsys, f"expected its folder, which has their true poses: {data}\n")
+
+
+def test_a_command_in_a_message_can_be_copied_whatever_the_path(tmp_path, capsys):
+    (images := tmp_path / ("a" * 100 + " " + "b" * 100)).mkdir()
+    write_image(images / "0.png", 0)
+    words = ["train", str(images), "--output", str(tmp_path / "m.safetensors")]
+    refuse(words, capsys, f"(`vapor-track map '{images}' --output place/` makes them)")
