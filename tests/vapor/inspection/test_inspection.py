@@ -261,4 +261,4 @@ def test_the_command_refuses_what_it_cannot_read_with_one_line(tmp_path, capfd):
     assert capfd.readouterr().err.count("\n") <= 2
     assert not (tmp_path / "out").exists()
     assert main(["inspect", str(tmp_path / "none.mcap@1:x")]) == 1
-    assert "expected START:STOP" in capfd.readouterr().err
+    assert "none.mcap@1:x: @1:x is no part, expected @START:STOP" in capfd.readouterr().err
