@@ -57,6 +57,7 @@ measurements: $(INSTALLED)
 	$(BIN)/python -m docs.measuring $(ONLY)
 
 $(INSTALLED): pyproject.toml
+	@echo "installing into .venv: about two minutes"
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --upgrade "pip>=25.1"
 	$(BIN)/python -m pip install --quiet torch==2.13.0

@@ -10,7 +10,8 @@ MAX_MESSAGE = 1000
 """Characters of a message, at most."""
 _LONG_MESSAGE = 300  # characters beyond which long words and paths lose some; all else stays whole
 _MAX_QUOTED = 60
-_LONG_PATH, _PATH_END = re.compile(r"/[^\s'\"]{50,}"), 40  # the end of a path matters most
+_COMMAND = r"\S*`vapor-track [^`]*`\S*"  # to be copied: it stays whole
+_LONG_PATH, _PATH_END = re.compile(rf"({_COMMAND})|/[^\s'\"]{{50,}}"), 40  # the end of a path matters most
 _MAX_BITS = 256  # of an integer that is written out: beyond some thousand digits Python refuses to
 
 
@@ -27,20 +28,26 @@ class VaporTrackError(Exception):
     """
 
     def __str__(self) -> str:
-        """The message; of a long one, long paths lose their beginnings and long words their middles."""
+        """The message; of a long one, long paths lose beginnings and long words middles, except in commands."""
         text = super().__str__()
         if len(text) > _LONG_MESSAGE:
-            text = _LONG_PATH.sub(lambda path: f"...{path[0][-_PATH_END:]}", text)
+            text = _LONG_PATH.sub(lambda found: found[1] or f"...{found[0][-_PATH_END:]}", text)
         return shortened(text, MAX_MESSAGE)
 
 
 def shortened(message: str, length: int = MAX_MESSAGE) -> str:
-    """A message of at most so many characters: the middle of long words goes, and of the whole only beyond that."""
+    """A message of at most so many characters: the middle of long words goes, and of the whole only beyond that.
+
+    Commands of `vapor-track` between backticks keep their words.
+    """
     words, excess = message.split(" "), len(message) - min(length, _LONG_MESSAGE)
+    kept = {word for command in re.findall(_COMMAND, message) for word in command.split(" ")}
     for index in sorted(range(len(words)), key=lambda index: -len(words[index])):
         word = words[index]
         if excess <= 0 or len(word) <= _MAX_QUOTED:
             break
+        if word in kept:
+            continue
         words[index] = _without_middle(word, max(len(word) - excess, _MAX_QUOTED))
         excess -= len(word) - len(words[index])
     return _without_middle(" ".join(words), length)

@@ -263,3 +263,14 @@ def require_inside(folder: Path, files: Iterable[object]) -> None:
             ) from error
         if not target.startswith(root):
             raise SequenceError(f"{folder}: {quoted(str(file))} leads out of the folder, expected files that lie in it")
+
+
+def unused_part(path: Path) -> str:
+    """Of a path that does not exist: which commands take the part that it names by an @; empty where it names none."""
+    before, _, part = str(path).rpartition("@")
+    if not (before and os.path.exists(before)):  # Path.exists raises for names that are too long
+        return ""
+    return (
+        f"; only `train`, `inspect` and `calibrate` take a part by @{part}: `run` has --start-s and --duration-s,"
+        " `convert` has --frames"
+    )

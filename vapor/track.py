@@ -90,7 +90,9 @@ def _run(program: str, commands: dict[str, str], package: str, words: list[str],
         write(f"{program} {importlib.import_module('importlib.metadata').version('vapor-track')}")
         return 0
     if name not in commands:
-        write_error(f"{program}: unknown command {shortened(repr(name), 60)}, expected one of {', '.join(commands)}")
+        near = importlib.import_module("difflib").get_close_matches(name, commands, 1)
+        meant = f"did you mean {near[0]}? Expected" if near else "expected"
+        write_error(f"{program}: unknown command {shortened(repr(name), 60)}, {meant} one of {', '.join(commands)}")
         return 2
     command = importlib.import_module(f"{package}.{name.replace('-', '_')}").main
     signals.working = True

@@ -13,7 +13,7 @@ from filtering.se3 import Poses
 from sequences.datasets.layout import PosedImages
 from sequences.datasets.layout_helpers.image_files import decoded_file, read_image_bytes
 from sequences.datasets.layout_helpers.packed import ImageFile
-from sequences.datasets.listing import list_images
+from sequences.datasets.listing import list_images, none_among
 from sequences.errors import SequenceError
 from sequences.files import Rows
 from sequences.frame import BASE_FROM_CAMERA, Camera
@@ -85,10 +85,10 @@ def convert(
     if seed < 0:
         raise SequenceError(f"seed {seed}, expected at least 0")
     images = list_images(dataset)
-    skipped = Counter(images.skipped)
+    skipped, count = Counter(images.skipped), len(images)
     images = images[frames]
     if not len(images):
-        raise SequenceError(f"{dataset}: no images in frames {frames.start}:{frames.stop}:{frames.step}")
+        raise SequenceError(f"{dataset}: {none_among(frames, count)}")
     track = _odometry(images, odometry, odometry_noise, seed)
     images = _covered(images, track, skipped)
     description = track.description if track else "none"

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
-from itertools import islice
+from itertools import count, islice
 from pathlib import Path
 
 from sequences.datasets.layout import PosedImages
 from sequences.datasets.layout_helpers.image_files import decoded_file
-from sequences.datasets.listing import is_recording, list_images
+from sequences.datasets.listing import as_typed, is_recording, list_images, none_among
 from sequences.datasets.points import SeenPoints
 from sequences.errors import NoImageError, SequenceError
 from sequences.files import Rows
@@ -45,6 +45,7 @@ class PosedFrames(Iterator[Frame]):
         self._odometry: OdometryUse = odometry
         self._usual_cameras = usual_cameras
         self._source: SequenceReader | PosedImages | None = None
+        self._known: int | None = None  # images with a true pose, of any one camera, once they are counted
         self._frames = self._read()
 
     def __next__(self) -> Frame:
@@ -56,10 +57,7 @@ class PosedFrames(Iterator[Frame]):
             is_empty = False
             yield frame
         if is_empty:
-            begin, end, step = self._slice.start, self._slice.stop, self._slice.step
-            raise SequenceError(
-                f"{self._path}: no image with a true pose in frames {begin}:{end}:{step}, expected at least one"
-            )
+            raise SequenceError(f"{self._path}: {none_among(self._slice, self._known)}")
 
     def _recorded(self) -> Iterator[Frame]:
         """Frames of a recording; without odometry where the frame before was left out."""
@@ -83,13 +81,16 @@ class PosedFrames(Iterator[Frame]):
         begin, end, step = self._slice.start, self._slice.stop, self._slice.step
         if any(bound is not None and bound < 0 for bound in (begin, end, step)):
             raise SequenceError(
-                f"{self._path}: frames {begin}:{end}:{step} count from the end, which a stream does not know; expected"
-                " numbers from 0 on"
+                f"{self._path}: frames {as_typed(self._slice)} count from the end, which a stream does not know;"
+                " expected numbers from 0 on"
             )
-        posed = _posed(reader, self.skipped)
+        counter = count()
+        posed = (frame for frame, _ in zip(_posed(reader, self.skipped), counter, strict=False))
         for number, frame in enumerate(islice(posed, begin, end, step)):
             follows = number > 0 and step in (None, 1)
             yield frame if follows else replace(frame, odometry=None)
+        if end is None or (begin or 0) < end:  # where nothing was yielded, all were read
+            self._known = max(self._known or 0, next(counter))
         reader.stop()
         for _ in posed:  # none comes any more
             pass
@@ -110,6 +111,7 @@ class PosedFrames(Iterator[Frame]):
         source = self._open()
         assert isinstance(source, PosedImages)
         self.skipped.update(source.skipped)
+        self._known = len(source)
         images, rows = source[self._slice], Rows("images", why_skipped)
         undistort = self._options is None or self._options.undistort
         for i, file in rows.each(enumerate(images.files)):

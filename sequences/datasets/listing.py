@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pkgutil
+import shlex
 from collections.abc import Iterator
 from contextlib import suppress
 from functools import cache
@@ -14,6 +15,7 @@ from sequences.datasets.layout import INTRINSICS_LEVELS, Layout, PosedImages
 from sequences.datasets.layout_helpers.image_files import images_in
 from sequences.datasets.layout_helpers.packed import VIDEO_SUFFIXES, PackedImage
 from sequences.errors import SequenceError
+from sequences.files import unused_part
 from sequences.recordings.recording_file import SUFFIXES
 
 
@@ -42,6 +44,18 @@ def list_images(path: Path) -> PosedImages:
     if not len(images):
         raise SequenceError(f"{path}: no image with a true pose: {dict(images.skipped)}; expected at least one")
     return images
+
+
+def as_typed(frames: slice) -> str:
+    """Numbers of images as START:STOP, or START:STOP:STEP."""
+    bounds = [frames.start, frames.stop, *([] if frames.step is None else [frames.step])]
+    return ":".join("" if bound is None else str(bound) for bound in bounds)
+
+
+def none_among(frames: slice, count: int | None) -> str:
+    """That no image has such a number, and which numbers there are, of `count` with a true pose; None if unknown."""
+    there = f": there are {count}, numbered 0 to {count - 1}" if count else ", expected at least one"
+    return f"no image with a true pose in frames {as_typed(frames)}{there}"
 
 
 def is_data_set(path: Path) -> bool:
@@ -76,7 +90,7 @@ def files_read(path: Path) -> Iterator[Path]:
 
 
 def _what_is_there(path: Path) -> str:
-    no_poses = f"images without true poses (`vapor-track map {path} --output place/` makes them)"
+    no_poses = f"images without true poses (`vapor-track map {shlex.quote(str(path))} --output place/` makes them)"
     if _is_video(path):
         return no_poses
     if path.is_file():
@@ -88,8 +102,14 @@ def _what_is_there(path: Path) -> str:
     if splits := [name for name in folders_first if (path / name).exists()]:
         return f"no sequence or data set, perhaps its {' or '.join(splits)} is meant"
     looked_for = f"looked for an .mcap file, metadata.yaml, {', '.join(layout.looked_for for layout in find_layouts())}"
-    found = "no sequence or data set" if path.exists() else "no such folder or file"
-    return f"{no_poses if images_in(path) else found}; {looked_for}"
+    found = "no sequence or data set" if path.exists() else f"no such folder or file{unused_part(path)}"
+    if not images_in(path):
+        return f"{found}; {looked_for}"
+    above = path.parent if path.parent.name else path.absolute().parent
+    with suppress(SequenceError):
+        if is_data_set(above):
+            return f"images of a data set, expected its folder, which has their true poses: {above}"
+    return f"{no_poses}; {looked_for}"
 
 
 def is_recording(path: Path) -> bool:

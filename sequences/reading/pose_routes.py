@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -197,7 +198,7 @@ def _only_candidate(
     could = [f"{t.name} ({t.type}: --ground-truth-topic {t.name})" for t in topics]
     could += [f"tf frame {name} (--ground-truth-frame {name})" for name in frames]
     could += [f"{t.name}, odometry as it seems ({t.type}: --ground-truth-topic {t.name})" for t in others]
-    made = f"`vapor-track map {bag.path} --output place/` makes them"
+    made = f"`vapor-track map {shlex.quote(str(bag.path))} --output place/` makes them"
     if could:
         raise SequenceError(
             f"{bag.path}: no true poses found without a choice to make, expected one of: {'; '.join(could)}; or a file"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
@@ -10,7 +11,7 @@ from typing import Any
 
 from filtering.errors import quoted
 from sequences.errors import SequenceError
-from sequences.files import read_yaml, require_inside
+from sequences.files import read_yaml, require_inside, unused_part
 from sequences.recordings.mcap_file import LatestChunks, McapFile
 from sequences.recordings.recording_file import (
     ROS1_MAGIC,
@@ -195,13 +196,16 @@ def _read_listing(folder: Path) -> _Listing:
     if not folder.is_dir():
         raise SequenceError(
             f"{folder}: no such file or folder, expected an .mcap file, a rosbag2 folder or a ROS 1 bag"
+            f"{unused_part(folder)}"
         )
     path = folder / "metadata.yaml"
     if not path.is_file():
         if _bag_files(folder):
             helps = ", or its files one by one (`ros2 bag reindex` writes one)"
         else:
-            helps = "; `vapor-track convert` makes an .mcap file of a data set"
+            made = Path(f"{folder if folder.name else folder.absolute()}.mcap")
+            words = shlex.join(["vapor-track", "convert", str(folder), str(made)])
+            helps = f"; `{words}` makes one of a data set"
         raise SequenceError(f"{folder}: folder has no metadata.yaml, expected an .mcap file or a rosbag2 folder{helps}")
     content = read_yaml(path)
     content = content.get("rosbag2_bagfile_information", content)

@@ -50,14 +50,15 @@ def refuse_run(
     capsys: pytest.CaptureFixture[str],
     *said: object,
     options: Sequence[str] = (),
-):
-    """`refuse`, into a new directory and into one that holds a result: neither may change."""
+) -> str:
+    """`refuse`, into a new directory and into one that holds a result: neither may change; the line."""
     inputs = contents(earlier.parent)
     new = earlier.parent / "new"
     line = refuse(words_of_run(sequence, model, new, options), capsys, *said)
     assert not new.exists()
     assert refuse(words_of_run(sequence, model, earlier, options), capsys) == line
     assert contents(earlier.parent) == inputs
+    return line
 
 
 def skipped_in_run(sequence: Path, model: Path, output: Path) -> tuple[int, dict[str, int]]:

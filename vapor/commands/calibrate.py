@@ -24,7 +24,7 @@ from vapor.training_data.entries import files_read
 if TYPE_CHECKING:  # torch is not needed for help and wrong options
     from vapor.calibration.calibrate import CalibrationResult
 
-_BAR, _MARK, _WIDTH = "=", "|", 40  # of the diagram, characters
+_BAR, _MARK, _WIDTH = "=", "|", 36  # of the diagram, characters
 
 
 @dataclass(frozen=True)

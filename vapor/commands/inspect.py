@@ -176,11 +176,12 @@ def _table(walks: Sequence[Walk]) -> Table:
     table = Table(
         title="Recordings",
         title_justify="left",
+        padding=0,  # eleven columns in 80 characters
         caption="sharp: variance of the Laplacian at 240 pixels; blurred: below 0.3 of the recording's median",
         caption_justify="left",
     )
     table.add_column("", overflow="fold")
-    for name in ("images", "posed", "seconds", "Hz", "pixels", "path", "sharp", "blurred", "dark", "blown"):
+    for name in ("images", "posed", "s", "Hz", "pixels", "path", "sharp", "blurred", "dark", "blown"):
         table.add_column(name, justify="right", no_wrap=True)
     for walk in walks:
         figures = walk.as_json()
@@ -191,7 +192,7 @@ def _table(walks: Sequence[Walk]) -> Table:
             str(len(walk.poses)),
             f"{figures['duration_s']:.1f}",
             "?" if rate is None else f"{rate:.3g}",
-            ", ".join(f"{w}x{h}" for w, h in walk.sizes),
+            "\n".join(f"{w}x{h}" for w, h in walk.sizes),
             "?" if walk.path_m is None else f"{walk.path_m:.1f} m",
             f"{figures['sharpness']:.0f}",
             *(f"{100 * figures[name]:.0f} %" for name in ("blurred", "dark", "blown_out")),

@@ -59,9 +59,15 @@ def parse_entry(entry: Path | str) -> tuple[Path, slice]:
     """
     match = re.fullmatch(r"(?P<path>.+)@(?P<start>\d*):(?P<stop>\d*)", str(entry))
     if match:
-        return Path(match["path"]), slice(int(match["start"] or 0), int(match["stop"]) if match["stop"] else None)
-    if re.search(r"@[^/]*:[^/]*$", str(entry)) and not Path(entry).exists():
-        raise TrainingError(f"{entry}: expected START:STOP after @ to be whole numbers, or one of them left out")
+        start, stop = int(match["start"] or 0), int(match["stop"]) if match["stop"] else None
+        if stop is not None and stop <= start:
+            raise TrainingError(f"{entry}: @{start}:{stop} has no image, expected START:STOP with STOP above START")
+        return Path(match["path"]), slice(start, stop)
+    before, at, part = str(entry).rpartition("@")
+    if at and not Path(entry).exists() and (re.fullmatch("[^/]*:[^/]*", part) or (before and Path(before).exists())):
+        raise TrainingError(
+            f"{entry}: @{part} is no part, expected @START:STOP, whole numbers of which one may be left out"
+        )
     return Path(entry), slice(None)
 
 

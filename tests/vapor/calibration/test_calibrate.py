@@ -145,7 +145,8 @@ def test_training_calibrates_at_its_end_and_stores_values_and_gains(tmp_path, mo
 
 
 @pytest.mark.usefixtures("widest_places")
-def test_the_command_writes_the_same_weights_with_another_calibration(tiny_model, tmp_path, capsys):
+def test_the_command_writes_the_same_weights_with_another_calibration(tiny_model, tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
     walk, output = Walk(60).write(tmp_path / "walk.mcap"), tmp_path / "m.safetensors"
     assert main(["calibrate", str(tiny_model), str(walk), "--output", str(output), "--device", "cpu"]) == 0
     printed = capsys.readouterr().out
@@ -153,6 +154,7 @@ def test_the_command_writes_the_same_weights_with_another_calibration(tiny_model
     assert "correlated_fraction" in printed
     assert "the log ratio of two weights of a single image is worth" in printed
     assert "expected calibration error" in printed
+    assert max(len(line) for line in printed.splitlines() if set("│┃") & set(line)) <= 80
     assert "true poses in the 50, 90, 95 % regions of single images" in printed
     before, after = load_checkpoint(tiny_model), load_checkpoint(output)
     assert after.calibration.bandwidth_translation_m != before.calibration.bandwidth_translation_m

@@ -31,7 +31,10 @@ WRONG = {
     "unknown command": (["localise"], "unknown command 'localise', expected one of demo, run, live"),
     "unknown option": ([*RUN, "--nonsense", "1"], "nonsense"),
     "misspelt option": ([*RUN, "--localizer.max-hypthoses", "9"], "hypthoses"),
-    "missing model": (["run", "a.mcap", "--output", "o"], "--model"),
+    "mistyped command": (["rum"], "unknown command 'rum', did you mean run? Expected one of demo, run"),
+    "missing model": (["run", "a.mcap", "--output", "o"], "vapor-track run: missing --model: Model file, or name of"),
+    "missing model and output": (["run", "a.mcap"], "staircase, ceiling; missing --output: Directory for"),
+    "missing output of a conversion": (["convert", "a"], "convert: missing OUT.mcap: MCAP file to write, new or"),
     "missing sequence": (["run", "--model", "m", "--output", "o"], "recording, video or folder of images"),
     "a URL to read": (
         ["run", "s3://walks/a.mcap", *RUN[2:]],

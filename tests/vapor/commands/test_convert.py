@@ -43,6 +43,9 @@ def test_a_conversion_of_nothing_is_refused(walk_of_25, tmp_path, capsys):
     make_tum(tmp_path / "data")
     write_tum(tmp_path / "day.tum", Trajectory(np.array([10**9, 2 * 10**9]), Poses.identity(2)))
     refuse([*words, "--odometry", str(tmp_path / "day.tum")], capsys, "day.tum", "covers no image")
-    refuse([*words, "--frames", "50:60"], capsys, "no images in frames 50:60")
+    there = "there are 10, numbered 0 to 9\n"
+    refuse([*words, "--frames", "50:60"], capsys, "no image with a true pose in frames 50:60", there)
+    part = ["convert", f"{tmp_path / 'data'}@0:5", words[2]]
+    refuse(part, capsys, "data@0:5: no such folder", "`convert` has --frames")
     refuse(["convert", str(walk_of_25), words[2]], capsys, walk_of_25, "is a file, expected the folder of")
     assert not (tmp_path / "o.mcap").exists()

@@ -8,6 +8,7 @@ import pytest
 from filtering.se3 import Poses
 from tests.helpers import sequence_files
 from tests.helpers.command_line import contents, refuse, refuse_run, words_of_run
+from tests.helpers.data_sets import make_tum
 from tests.helpers.sequence_files import IMAGES, ODOMETRY, Walk, rewrite
 from tests.helpers.tiny_model import altered
 from tests.helpers.video_clips import write_clip
@@ -43,6 +44,19 @@ def test_recorded_odometry_that_is_missing_is_refused(walk_of_25, tiny_model, ea
     both = ["--odometry", "none", "--odometry-topic", "/odom"]
     said = ["--odometry none beside --odometry-topic or --odometry-frame, expected one of them"]
     refuse_run(walk_of_25, tiny_model, earlier, capsys, *said, options=both)
+
+
+def test_a_data_set_is_refused_with_the_command_that_makes_a_sequence_of_it(tiny_model, earlier, capsys):
+    data = make_tum(earlier.parent / "a desk")
+    said = f"`vapor-track convert '{data}' '{data}.mcap'` makes one of a data set"
+    refuse_run(data, tiny_model, earlier, capsys, said)
+
+
+def test_a_part_by_an_at_is_refused_with_the_options_that_choose_one(walk_of_25, tiny_model, earlier, capsys):
+    said = ["@0:9: no such file or folder", "take a part by @0:9: `run` has --start-s and --duration-s"]
+    refuse_run(walk_of_25.with_name(f"{walk_of_25.name}@0:9"), tiny_model, earlier, capsys, *said)
+    nowhere = earlier.parent / "nowhere.mcap@0:9"
+    assert "a part" not in refuse_run(nowhere, tiny_model, earlier, capsys, "no such file or folder")
 
 
 @pytest.mark.parametrize("name", ["nav2_turtlebot.mcap", "talker.mcap", "only_topics.mcap"])

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from rich.cells import cell_len
 
-from filtering.errors import MAX_MESSAGE, shortened
+from filtering.errors import MAX_MESSAGE, VaporTrackError, shortened
 from tests.helpers.checkout import CHECKOUT
 from tests.helpers.command_line import main
 from tests.helpers.simulated_run import simulated_record
@@ -231,6 +231,14 @@ def test_messages_are_shortened_where_their_words_are_longest_and_else_stay_whol
     write_error(f"two\nlines {token}")
     err = capsys.readouterr().err
     assert (err.count("\n"), len(err)) == (1, LONG_MESSAGE + 1)
+
+
+def test_commands_stay_whole_while_the_words_around_them_are_shortened():
+    path, command = "/data/" + "x" * 200, "vapor-track map /data/" + "x" * 200 + " --output place/"
+    said = str(VaporTrackError(f"{path}: no poses (`{command}` makes them); {'y' * 100}"))
+    assert f"(`{command}` makes them)" in said
+    assert not said.startswith("/data")
+    assert "y" * 100 not in said
 
 
 LONG = "9" * 3000

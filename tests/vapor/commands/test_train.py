@@ -3,6 +3,7 @@
 import pytest
 
 from tests.helpers.command_line import refuse, skipped_in_run
+from tests.helpers.data_sets import make_tum, write_image
 from tests.helpers.sequence_files import TRUTH, rewrite
 from vapor.track import main
 from vapor.training import trainer as trainer_module
@@ -73,4 +74,33 @@ def test_a_training_that_cannot_be_is_refused(data, output, said, walk_of_25, tm
 
 def test_frames_of_training_data_that_are_no_numbers_are_told(tmp_path, capsys):
     words = ["train", f"{tmp_path}/walk.mcap@a:b", "--output", str(tmp_path / "m.safetensors")]
-    refuse(words, capsys, "walk.mcap@a:b", "expected START:STOP after @ to be whole numbers")
+    refuse(words, capsys, "walk.mcap@a:b: @a:b is no part, expected @START:STOP, whole numbers")
+    (tmp_path / "walk.mcap").touch()
+    words[1] = f"{tmp_path}/walk.mcap@abc"
+    refuse(words, capsys, "walk.mcap@abc: @abc is no part, expected @START:STOP")
+    words[1] = f"{tmp_path}/walk.mcap@7:5"
+    refuse(words, capsys, "walk.mcap@7:5: @7:5 has no image, expected START:STOP with STOP above START")
+
+
+def test_frames_that_are_not_there_are_told_with_how_many_are(walk_of_25, tmp_path, capsys):
+    for data in (make_tum(tmp_path / "data", num_images=8), walk_of_25):
+        count = 8 if data.is_dir() else 25
+        words = ["train", f"{data}@900:1000", "--output", str(tmp_path / "m.safetensors"), *TRAINING]
+        said = f"no image with a true pose in frames 900:1000: there are {count}, numbered 0 to {count - 1}\n"
+        refuse(words, capsys, said)
+
+
+def test_images_of_a_data_set_are_told_to_be_its(tmp_path, capsys, monkeypatch):
+    data = make_tum(tmp_path / "desk")
+    words = ["train", str(data / "rgb"), "--output", str(tmp_path / "m.safetensors")]
+    refuse(words, capsys, f"images of a data set, expected its folder, which has their true poses: {data}\n")
+    monkeypatch.chdir(data)
+    words[1] = "rgb"
+    refuse(words, capsys, f"expected its folder, which has their true poses: {data}\n")
+
+
+def test_a_command_in_a_message_can_be_copied_whatever_the_path(tmp_path, capsys):
+    (images := tmp_path / ("a" * 100 + " " + "b" * 100)).mkdir()
+    write_image(images / "0.png", 0)
+    words = ["train", str(images), "--output", str(tmp_path / "m.safetensors")]
+    refuse(words, capsys, f"(`vapor-track map '{images}' --output place/` makes them)")

@@ -245,9 +245,20 @@ def test_the_recording_holds_the_sparse_points_of_a_colmap_model(tmp_path):
     assert "/world/place/points/0" in entities_of(tmp_path / "out" / "recording.rrd")
 
 
+@pytest.mark.usefixtures("unchecked", "no_views")
+def test_the_table_of_recordings_fits_80_columns(tmp_path, capfd, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    assert main(["inspect", str(make_tum(tmp_path / ("a-long-name-of-a-walk-" * 3)))]) == 0
+    out = capfd.readouterr().out
+    assert "…" not in out
+    table = [line for line in out.splitlines() if set("│┃┏┡└") & set(line)]
+    assert len(table) > 4
+    assert max(map(len, table)) <= 80
+
+
 def test_the_command_refuses_what_it_cannot_read_with_one_line(tmp_path, capfd):
     assert main(["inspect", str(tmp_path / "none.mcap"), "--output", str(tmp_path / "out")]) == 1
     assert capfd.readouterr().err.count("\n") <= 2
     assert not (tmp_path / "out").exists()
     assert main(["inspect", str(tmp_path / "none.mcap@1:x")]) == 1
-    assert "expected START:STOP" in capfd.readouterr().err
+    assert "none.mcap@1:x: @1:x is no part, expected @START:STOP" in capfd.readouterr().err
