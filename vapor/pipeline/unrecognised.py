@@ -17,8 +17,8 @@ MOST_IMAGES = 23
 """So many images of a run are enough."""
 SeenImage = tuple[UInt8[np.ndarray, "h w 3"], Camera | None]
 """An image and its camera, None where unknown."""
-_CLEARLY = 0.8  # of the score of the images as they are: a change that explains it brings it below that, and below
-_UNLIKE = 0.9 * OUT_OF_DISTRIBUTION
+_CLEARLY = 0.8  # of the score of the images as they are: a change that explains it brings it below that
+_UNLIKE = 0.9 * OUT_OF_DISTRIBUTION  # images with lower scores look like training images
 _VERIFIED = 0.2  # of the changed images, in which landmarks verify a place where the change explains it
 _GREY = 2.0  # of 255, between the largest and the smallest channel of a pixel
 _MIDDLE = 110  # of 255, a usual median brightness
