@@ -160,6 +160,18 @@ class VaporObservationModel:
         noise = np.zeros((self.num_samples, self.engine.noise_dim), np.float32)
         return self._ood_score(self.engine.run(prepared, noise).description)
 
+    def is_verified(self, image: np.ndarray, camera: Camera | None) -> bool | None:
+        """Whether landmarks verify a place in an image of a camera; None where the model has none.
+
+        Raises:
+            VaporTrackError: the image is not (H, W, 3) uint8.
+        """
+        other = self.seen_by(camera)
+        if other.verifier is None:
+            return None
+        other.verifier.verify(image, camera, other.propose(image, rng=np.random.default_rng(0)))
+        return bool(other.verifier.latest)
+
     def _ood_score(self, description: np.ndarray) -> float:
         """Score of an image by its description; 0 where the model has no scores."""
         if self.description.ood_model is None:

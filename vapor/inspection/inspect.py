@@ -116,7 +116,8 @@ def inspect(
         posed = np.concatenate([walk.posed for walk in walks])
         predictions = Predictions.of(predicted, images.poses if images is not None else walks[0].poses, posed)
         if predictions.out_of_distribution > _MOST and isinstance(model, VaporObservationModel):
-            predictions = replace(predictions, why_out_of_distribution=why_unrecognised(some.items, model.ood_score))
+            why = why_unrecognised(some.items, model.ood_score, model.is_verified)
+            predictions = replace(predictions, why_out_of_distribution=why)
     clocks = tuple(ImageClock.of(walk) for walk in walks)
     found = verdict(walks, coverage, odometry, clocks, predictions, cameras)
     return Inspection(tuple(walks), coverage, odometry, clocks, cameras, predictions, notices, found)

@@ -15,7 +15,7 @@ from sequences.trajectories.tum import write_tum
 from vapor.reporting.html.page import write_page
 from vapor.reporting.html.run_page import run_page
 from vapor.reporting.record import RunRecord
-from vapor.reporting.report import build_report, camera_notices, doubtful_notice, write_report
+from vapor.reporting.report import build_report, camera_notices, doubtful_notice, place_notice, write_report
 from vapor.reporting.status_file import write_status
 from vapor.tracking.methods import FILES
 from vapor.versions import version_of
@@ -72,7 +72,8 @@ def write_results(
     with atomic_output(directory / "config.json") as partial:
         partial.write_text(json.dumps(settings, indent=2) + "\n", encoding="utf-8")
     report = build_report(record)
-    all_notices = (*notices, *camera_notices(report), *filter(None, [doubtful_notice(record)]))
+    about_poses = [*camera_notices(report), *filter(None, [doubtful_notice(record)])]
+    all_notices = (*filter(None, [place_notice(report)]), *notices, *about_poses)
     report["notices"] = [*all_notices]
     write_report(directory / "report.json", report)
     result = RunResult(record, report, all_notices)

@@ -38,6 +38,7 @@ from vapor.pipeline.unrecognised import MOST_IMAGES, SeenImage, are_unrecognised
 from vapor.pipeline.verticals import Verticals
 from vapor.reporting.outline import Outline
 from vapor.reporting.record import EvenlySpaced
+from vapor.reporting.report import is_placed, status_parts
 from vapor.reporting.rerun_place import Place
 from vapor.threads import limited_threads
 from vapor.training_data.ground import describe_unshown
@@ -199,9 +200,10 @@ def run_into(
         }
         notices = [*_about_odometry(frames, config), *frames.notices, *observation.notices, *verticals.notices]
         if are_unrecognised(record.status) and observation.description.ood_model is not None:
-            notices.append(why_unrecognised(some.items, observation.ood_score))
-        if (trained := observation.description.memory_poses) is not None:
-            notices += filter(None, [describe_unshown(record.methods["smoothed"].poses, trained)])
+            notices.insert(0, why_unrecognised(some.items, observation.ood_score, observation.is_verified))
+        if (trained := observation.description.memory_poses) is not None and is_placed(status_parts(record.status)):
+            found = None if record.inliers is None else record.inliers > 0
+            notices += filter(None, [describe_unshown(record.methods["smoothed"].poses, trained, verified=found)])
         result = write_results(record, directory, settings, title=sequence.name, notices=notices, command=command)
         return replace(result, engine=f"{engine['engine']} on {engine['device']}, {config.precision}")
 

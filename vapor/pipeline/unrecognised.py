@@ -17,8 +17,9 @@ MOST_IMAGES = 23
 """So many images of a run are enough."""
 SeenImage = tuple[UInt8[np.ndarray, "h w 3"], Camera | None]
 """An image and its camera, None where unknown."""
-_CLEARLY = 0.8  # of the score of the images as they are: a change that brings it below that explains it
-_UNLIKE = 0.9 * OUT_OF_DISTRIBUTION
+_CLEARLY = 0.8  # of the score of the images as they are: a change that explains it brings it below that
+_UNLIKE = 0.9 * OUT_OF_DISTRIBUTION  # images with lower scores look like training images
+_VERIFIED = 0.2  # of the changed images, in which landmarks verify a place where the change explains it
 _GREY = 2.0  # of 255, between the largest and the smallest channel of a pixel
 _MIDDLE = 110  # of 255, a usual median brightness
 
@@ -29,12 +30,12 @@ def _brightened(image: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]
 
 
 _CHANGES: Final[dict[str, Callable[[np.ndarray], np.ndarray]]] = {
-    "with red and blue swapped (BGR that is labelled RGB, or the reverse)": lambda image: image[..., ::-1],
+    "red and blue are swapped (BGR that is labelled RGB, or the reverse)": lambda image: image[..., ::-1],
     "turned by 180° (a camera mounted upside down)": lambda image: np.rot90(image, 2),
     "turned by 90° to the left (a camera mounted sideways)": lambda image: np.rot90(image, 1),
     "turned by 90° to the right (a camera mounted sideways)": lambda image: np.rot90(image, -1),
     "mirrored": lambda image: image[:, ::-1],
-    "with brightness inverted": lambda image: 255 - image,
+    "their brightness is inverted": lambda image: 255 - image,
     "brightened (they are dark)": _brightened,
     "darkened (they are overexposed)": _brightened,
 }
@@ -45,11 +46,21 @@ def are_unrecognised(status: Sequence[Status]) -> bool:
     return 10 * status.count("converged") < len(status) < 4 * status.count("lost")
 
 
-def why_unrecognised(images: Sequence[SeenImage], ood_score: Callable[[np.ndarray, Camera | None], float]) -> str:
+def why_unrecognised(
+    images: Sequence[SeenImage],
+    ood_score: Callable[[np.ndarray, Camera | None], float],
+    is_verified: Callable[[np.ndarray, Camera | None], bool | None] = lambda image, camera: None,
+) -> str:
     """Why images of a run are not recognised, as a sentence about them.
 
-    Each change above is tried: the one whose images look most like training images to the network is named where the
-    images as they are do not. How unlike they look is measured as by `VaporObservationModel.ood_score`.
+    Each change above is tried. The one whose images look most like training images to the network is named if they do
+    look like them, clearly more than the images as they are, and if landmarks, where there are any, verify places in
+    them. Images of another place look a little less unlike after some change, too.
+
+    Args:
+        images: Some images of the run.
+        ood_score: How unlike the training an image looks, as `VaporObservationModel.ood_score`.
+        is_verified: Whether landmarks verify a place in an image, as `VaporObservationModel.is_verified`.
     """
     grey = np.median([float(np.ptp(image.astype(np.int16), axis=-1).mean()) for image, _ in images]) < _GREY
     now = _score(images, ood_score, np.asarray)
@@ -59,7 +70,7 @@ def why_unrecognised(images: Sequence[SeenImage], ood_score: Callable[[np.ndarra
     }
     scores = {name: _score(images, ood_score, change) for name, change in possible.items()}
     best = min(scores, key=scores.__getitem__)
-    if scores[best] < _CLEARLY * now:
+    if scores[best] < min(_CLEARLY * now, _UNLIKE) and _agree(images, is_verified, possible[best]):
         return f"images look like those that the model learned from only when {best}: correct this where they are made"
     if now < _UNLIKE:
         return (
@@ -77,9 +88,22 @@ def _score(
     change: Callable[[np.ndarray], np.ndarray],
 ) -> float:
     """How unlike training images some are after a change; 1 is as unlike as another place."""
-    scores = []
-    for image, camera in images:
-        changed = np.ascontiguousarray(change(image))
-        same_size = camera is None or changed.shape == image.shape
-        scores.append(ood_score(changed, camera if same_size else None))
-    return float(np.median(scores))
+    return float(np.median([ood_score(*_changed(seen, change)) for seen in images]))
+
+
+def _agree(
+    images: Sequence[SeenImage],
+    is_verified: Callable[[np.ndarray, Camera | None], bool | None],
+    change: Callable[[np.ndarray], np.ndarray],
+) -> bool:
+    """Whether landmarks verify places in some images after a change; True without landmarks."""
+    verified = [is_verified(*_changed(seen, change)) for seen in images]
+    return None in verified or verified.count(True) >= _VERIFIED * len(verified)
+
+
+def _changed(
+    seen: SeenImage, change: Callable[[np.ndarray], np.ndarray]
+) -> tuple[UInt8[np.ndarray, "h2 w2 3"], Camera | None]:
+    image, camera = seen
+    changed = np.ascontiguousarray(change(image))
+    return changed, camera if changed.shape == image.shape else None

@@ -7,13 +7,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from vapor.evaluation.consistency import REGIONS
+from vapor.reporting.report import HARDLY, is_placed
 
 MOST_STEPS = 4
 MOVE_ON = "Move on until something looks different, or look with more cameras."
 """Where several places remain."""
 _LEAST_IMAGES = 50  # that a statement on the calibration needs
 _FEW, _FEW_VERIFIED = 0.5, 0.2  # of the images, converged and with landmarks, below which something is amiss
-_HARDLY = 0.05  # of the images, converged, below which it may be another place
 _AMBIGUOUS = 0.5  # of the smoothed poses
 _TOO_SURE = 0.2  # by which a region may hold less than stated
 _WRONG = 0.05  # of the converged images
@@ -23,7 +23,14 @@ _OF_NOTICES: tuple[tuple[str, str], ...] = (
     (r"^Only \d+ of \d+ images were used", "Mend the recording, or record again: most of its images are lost."),
     (r"^images look like .* only when (?P<change>.*?)(?: \(.*)?:", "Correct the images where they are made."),
     (r"^images look like .* does not agree", "Compare clocks and axes: vapor-track inspect, with this recording."),
-    (r"^images (are grey|look unlike)", "Record this place with this camera in this light, and train with it, too."),
+    (
+        r"^images (are grey|look unlike)",
+        "Check that the model is of this place. If so, record with this camera in this light, and train with it, too.",
+    ),
+    (
+        r"^hardly any image says which place",
+        "Check that the model is of this place, and that the walk shows something unique.",
+    ),
     (r"camera of unknown intrinsics", "State the focal length: record CameraInfo, or write an intrinsics.json."),
     (r"but their camera info states|^distortion model", "Correct the CameraInfo: it is not used as it is."),
     (r"images are unlike the training|were left out, as they fit nowhere", "Check this camera: mount, clock and lens."),
@@ -73,19 +80,16 @@ def _of_report(report: Mapping[str, Any]) -> list[tuple[str, str]]:
                 " the converged images are wrong: the stated errors are too small for this recording."
             )
             steps.append(("Calibrate with a recording of such conditions: vapor-track calibrate.", reason))
-    converged, lost = _converged(report), report["status"].get("lost", 0.0)
-    if converged < _HARDLY and lost < _FEW:
-        reason = f"{100 * converged:.0f} % of the images are converged: hardly any says which place it is."
-        steps.append(("Check that the model is of this place, and that the walk shows something unique.", reason))
-    elif converged < _FEW and lost < _FEW:
+    converged, placed = _converged(report), is_placed(report["status"])
+    if placed and converged < _FEW:
         reason = (
             f"Only {100 * converged:.0f} % of the images are converged: from what they show, several places remain."
         )
         steps.append((MOVE_ON, reason))
-    elif (back := report["hindsight"]) is not None and back["ambiguous"] > _AMBIGUOUS * frames:
+    elif placed and (back := report["hindsight"]) is not None and back["ambiguous"] > _AMBIGUOUS * frames:
         reason = f"{back['ambiguous']} of {frames} smoothed poses have a second place that is nearly as probable."
         steps.append(("Compare smoothed.tum with smoothed_second.tum before you use either.", reason))
-    if report.get("verified", 1.0) < _FEW_VERIFIED:
+    if converged >= HARDLY and report.get("verified", 1.0) < _FEW_VERIFIED:
         reason = (
             f"Landmarks verified a place in {100 * report['verified']:.0f} % of the images only, and poses are exact to"
             " centimetres only there."
@@ -104,4 +108,4 @@ def _converged(report: Mapping[str, Any]) -> float:
 
 
 def _sentence(notice: str) -> str:
-    return f"{notice[:1].upper()}{notice[1:]}{'' if notice.endswith('.') else '.'}"
+    return f"{notice[:1].upper()}{notice[1:]}{'' if notice.endswith(('.', '?')) else '.'}"

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Bool
 
-from filtering.estimate import STATUSES
+from filtering.estimate import STATUSES, Status
 from sequences.atomic import atomic_output
 from sequences.errors import SequenceError
 from sequences.files import read_json
@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 
 FITS = 0.7
 """Fraction of the images about a smoothed pose that must fit it, as for the filter's to be `converged`."""
+HARDLY = 0.05
+"""Fraction of the images that are converged, below which it may be another place."""
+_MOSTLY_LOST, _SOME_LOST = 0.5, 0.25  # of the images
 _LEFT_OUT, _UNFAMILIAR = 0.2, 0.5  # of the images of a camera, from which on a notice says so
 
 
@@ -46,7 +49,6 @@ def build_report(record: RunRecord) -> dict[str, Any]:
         where there is none), `carried_off_s` (when the camera was carried off, seconds since the first image), and with
         true poses `consistency` of the smoothed poses that fit, and `fixed_lag_consistency` with a lag.
     """
-    counts = Counter(record.status)
     frames = len(record.times_ns)
     p50, p95 = np.percentile(record.step_ms, [50, 95])
     doubts = doubtful(record)
@@ -57,7 +59,7 @@ def build_report(record: RunRecord) -> dict[str, Any]:
         "skipped": dict(record.skipped),
         "images": None if record.images is None else record.images.as_json(),
         "duration_s": float(record.times_ns[-1] - record.times_ns[0]) / 1e9,
-        "status": {name: counts[name] / frames for name in STATUSES},
+        "status": status_parts(record.status),
         "smoothed_doubtful": None if doubts is None else int(doubts.sum()),
         "hindsight": None,
         "particles": int(np.median(record.num_particles)),
@@ -109,6 +111,28 @@ def _hindsight(record: RunRecord, look_back: LookBack) -> dict[str, Any]:
             gaussian = np.full(len(fits), np.inf)  # of many images
             part[key] = evaluate_consistency(record.methods[name], trajectory.covariance, gaussian, fits, record.truth)
     return part
+
+
+def status_parts(status: Sequence[Status]) -> dict[str, float]:
+    """The fraction of the images with each status."""
+    counts = Counter(status)
+    return {name: counts[name] / len(status) for name in STATUSES}
+
+
+def is_placed(parts: Mapping[str, float]) -> bool:
+    """Whether positions of a run say anything, by its `status_parts`: some are converged, and most are not lost."""
+    return parts.get("converged", 0.0) >= HARDLY and parts.get("lost", 0.0) < _MOSTLY_LOST
+
+
+def place_notice(report: Mapping[str, Any]) -> str | None:
+    """A doubt whether a run was at the place of its model; None where images are recognised, or many are lost.
+
+    Why images are lost is said by `why_unrecognised`.
+    """
+    parts = report["status"]
+    if (converged := parts["converged"]) >= HARDLY or parts["lost"] > _SOME_LOST:
+        return None
+    return f"hardly any image says which place it is ({converged:.0%} are converged): is the model of this place?"
 
 
 def doubtful(record: RunRecord) -> Bool[np.ndarray, " n"] | None:

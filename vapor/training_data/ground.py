@@ -23,14 +23,24 @@ _USUAL = 4.0  # distance that counts as near, in lower quartiles of the distance
 _LOOKED_AT = 8  # nearest images that are compared
 _NAMED_RUNS = 3
 _LEAST_UNSHOWN = 0.05  # least fraction of unshown images of a run for a notice
+_VERIFIED = 0.9  # of these images, in which landmarks verify a place: from there on the ground is known all the same
 RUN_IMAGES = 10
 _BREAK_S, _BREAK_STEPS = 1.0, 3.0
 
 
-def describe_unshown(poses: Poses, training: Poses) -> str | None:
-    """A notice on a run, of estimated poses (n,), over ground that training images, of poses (m,), do not show."""
+def describe_unshown(poses: Poses, training: Poses, *, verified: Bool[np.ndarray, " n"] | None = None) -> str | None:
+    """A notice on a run over ground that training images do not show; None where there is hardly any.
+
+    Args:
+        poses: Estimated, (n,).
+        training: Of the training images, (m,).
+        verified: In which images of the run landmarks verified a place, (n,); None without landmarks. Where they did
+            in nearly all images over such ground, it is known well enough.
+    """
     shown, near_m = shown_around(poses, training)
     if (fraction := float((~shown).mean())) < _LEAST_UNSHOWN:
+        return None
+    if verified is not None and float(verified[~shown].mean()) >= _VERIFIED:
         return None
     images = describe_runs(list(runs(~shown, np.zeros(len(shown), np.int64))), 0)
     return (
@@ -86,7 +96,8 @@ def runs(mask: Bool[np.ndarray, " n"], sequence: Int64[np.ndarray, " n"]) -> Ite
 def describe_runs(found: Sequence[slice], first: int) -> str:
     """The first and last image of each run, counted from the first image of their recording."""
     words = [f"{run.start - first} to {run.stop - 1 - first}" for run in found[:_NAMED_RUNS]]
-    words += [f"{len(found) - _NAMED_RUNS} more"] if len(found) > _NAMED_RUNS else []
+    if (more := len(found) - _NAMED_RUNS) > 0:
+        words.append(f"{more} more range{'s' if more > 1 else ''}")
     return " and ".join([*([", ".join(words[:-1])] if words[:-1] else []), words[-1]])
 
 

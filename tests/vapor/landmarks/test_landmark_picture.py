@@ -144,10 +144,13 @@ def test_a_run_with_landmarks_reports_a_picture_and_one_without_none(room, built
     config = RunConfig(num_samples=20, recording=False)
     model = load_model(str(tiny_model), config)
     run(path, model, tmp_path / "without", config)
+    assert model.observation.is_verified(room.view(poses[3]), CAMERA) is None
     description = model.observation.description
     noise = replace(description.calibration.errors, verified=SHARP)
     calibration = replace(description.calibration, errors=noise)
     model.observation.description = replace(description, landmarks=Landmarks(built.landmarks), calibration=calibration)
+    assert model.observation.is_verified(room.view(poses[3]), CAMERA)
+    assert model.observation.is_verified(255 - room.view(poses[3]), CAMERA) is False
     result = run(path, model, tmp_path / "with", config)
     assert len(result.record.inliers) == 8
     assert result.record.inliers.min() >= 12

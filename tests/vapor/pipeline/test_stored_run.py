@@ -2,6 +2,7 @@
 
 import re
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pandas
@@ -82,6 +83,16 @@ def test_the_lines_of_the_start_page_run(record, tmp_path, monkeypatch):
 def test_a_folder_that_is_no_run_is_named(tmp_path):
     with pytest.raises(SequenceError, match=r"elsewhere: no status\.csv and report\.json, expected the results of"):
         read_run(tmp_path / "elsewhere")
+
+
+def test_that_it_may_be_another_place_is_the_first_notice(tmp_path):
+    record = simulated_record(20)
+    nowhere = replace(record, status=("ambiguous",) * 20)
+    with results_folder(tmp_path / "run", "run", writes=RESULTS) as folder:
+        result = write_results(nowhere, folder, {}, title="simulated", notices=["mind the step"])
+    assert result.notices[0].startswith("hardly any image says which place it is (0% are converged)")
+    assert result.notices[1] == "mind the step"
+    assert result.report["notices"] == [*result.notices]
 
 
 def test_a_file_that_was_changed_is_named(record, tmp_path):

@@ -12,7 +12,7 @@ from tests.helpers.simulated_run import simulated_record
 from vapor.cameras import AsTakenBy
 from vapor.pipeline.unrecognised import why_unrecognised
 from vapor.reporting.next_steps import MOST_STEPS, next_steps
-from vapor.reporting.report import camera_notices, doubtful_notice
+from vapor.reporting.report import camera_notices, doubtful_notice, is_placed, place_notice
 from vapor.tracking.hindsight import LookBack
 from vapor.training_data.ground import describe_unshown
 
@@ -63,6 +63,12 @@ def unrecognised(score) -> str:
     return why_unrecognised([(image, None)], score)
 
 
+def nowhere() -> str:
+    notice = place_notice({"status": {"converged": 0.01, "ambiguous": 0.99, "lost": 0.0}})
+    assert notice is not None
+    return notice
+
+
 def few() -> str:
     counts = ImageCounts(100, 100, 20)
     counts.skipped["undecodable_image"] = 80
@@ -82,7 +88,8 @@ def few() -> str:
             "Correct the images",
         ),
         (lambda: unrecognised(lambda image, camera: 0.1), "Compare clocks and axes"),
-        (lambda: unrecognised(lambda image, camera: 3.0), "Record this place with this camera"),
+        (lambda: unrecognised(lambda image, camera: 3.0), "Check that the model is of this place"),
+        (nowhere, "Check that the model is of this place, and"),
         (few, "Mend the recording"),
     ],
 )
@@ -101,16 +108,35 @@ def test_what_the_report_shows_has_its_action():
     assert actions(consistency={**wrong, "images": 9}) == []
     assert actions(consistency={"images": 0, "wrong": None, "coverage": None}) == []
     assert actions(status={"converged": 0.1, "ambiguous": 0.9})[0].startswith("Move on")
-    assert actions(status={"converged": 0.0, "ambiguous": 1.0})[0].startswith("Check that the model is of this place")
     assert actions(status={"converged": 0.1, "lost": 0.9}) == []  # which a notice explains
     assert actions(hindsight={"ambiguous": 80})[0].startswith("Compare smoothed.tum")
     assert actions(hindsight=None) == []
     assert actions(verified=0.1)[0].startswith("Record this place again")
 
 
+def test_nothing_that_depends_on_positions_is_asked_of_a_run_without_any():
+    of_positions = {"hindsight": {"ambiguous": 100}, "smoothed_doubtful": 100, "verified": 0.0}
+    lost = {"converged": 0.0, "ambiguous": 0.0, "lost": 1.0}
+    notice = unrecognised(lambda image, camera: 3.0)
+    steps, _ = next_steps({**GOOD, **of_positions, "status": lost}, [notice])
+    (action,) = [action for action, _ in steps]
+    assert action.startswith("Check that the model is of this place.")
+    assert actions(**of_positions, status={"converged": 0.0, "ambiguous": 1.0, "lost": 0.0}) == []
+    assert len(actions(**of_positions)) == 2
+
+
+def test_the_place_is_doubted_where_hardly_an_image_says_which_it_is():
+    assert "is the model of this place?" in nowhere()
+    assert place_notice({"status": {"converged": 0.05, "ambiguous": 0.95, "lost": 0.0}}) is None
+    assert place_notice({"status": {"converged": 0.0, "ambiguous": 0.0, "lost": 1.0}}) is None  # others say why
+    assert is_placed({"converged": 0.6, "lost": 0.4})
+    assert not is_placed({"converged": 0.4, "lost": 0.6})
+    assert not is_placed({"converged": 0.0, "lost": 0.0})
+
+
 def test_odometry_is_suspected_only_where_the_place_is_known():
-    nowhere = LookBack({}, None, np.zeros(20, bool), np.zeros(20), np.zeros(20, bool))
-    doubtful = doubtful_notice(replace(simulated_record(20), look_back=nowhere))
+    fits_nowhere = LookBack({}, None, np.zeros(20, bool), np.zeros(20), np.zeros(20, bool))
+    doubtful = doubtful_notice(replace(simulated_record(20), look_back=fits_nowhere))
     many = {"smoothed_doubtful": 20}
     (action,) = actions(doubtful, **many)
     assert action == "Check the odometry where images do not fit: vapor-track inspect, or --odometry both."

@@ -6,7 +6,7 @@ import pytest
 from filtering.se3 import Poses
 from tests.helpers.corridors import STEP_M, corridor, recorded, stairwell
 from vapor.training.holding_out import Split, hold_out, within_map
-from vapor.training_data.ground import describe_unshown
+from vapor.training_data.ground import describe_runs, describe_unshown
 
 
 def trained(split: Split) -> np.ndarray:
@@ -140,6 +140,17 @@ def test_a_run_over_ground_that_training_images_do_not_show_is_told_so():
         "25% of the images were taken, by the smoothed trajectory, where no training image is within"
     )
     assert "images 300 to 399;" in told
+    found = np.arange(400) < 300
+    assert describe_unshown(stairwell(walks=1).poses, training, verified=found) == told
+    found[300:395] = True  # landmarks verify 95 % of the very images
+    assert describe_unshown(stairwell(walks=1).poses, training, verified=found) is None
     assert describe_unshown(training[np.arange(300)], training) is None
     back = corridor(10, 0, ahead=False)  # the same ground, but what was behind the camera is ahead
     assert describe_unshown(back, training) is not None
+
+
+def test_ranges_of_images_that_are_left_out_are_counted():
+    five = [slice(10 * i, 10 * i + 3) for i in range(5)]
+    assert describe_runs(five[:2], 0) == "0 to 2 and 10 to 12"
+    assert describe_runs(five[:4], 0) == "0 to 2, 10 to 12, 20 to 22 and 1 more range"
+    assert describe_runs(five, 0).endswith("20 to 22 and 2 more ranges")
