@@ -155,14 +155,15 @@ class Tracer:
     ) -> tuple[
         Int64[np.ndarray, " n"], Float32[np.ndarray, " n"], Float32[np.ndarray, " n"], Float32[np.ndarray, " n"]
     ]:
-        """The parallelogram that each ray meets first (−1: none), where on it (s, t in [0, 1]) and how far.
+        """The parallelogram that each ray meets first (−1: none), where on it (s, t in [0, 1]; 0 for none) and how far.
 
         The distance is in units of the direction's length.
         """
         hit = self._scene.run(
             np.ascontiguousarray(origin, np.float32), np.ascontiguousarray(direction, np.float32), output=1
         )
-        triangle, u, v = hit["primID"].astype(np.int64), hit["u"], hit["v"]
+        triangle = hit["primID"].astype(np.int64)
+        u, v = (np.where(triangle >= 0, hit[name], np.float32(0.0)) for name in ("u", "v"))  # unset where none is met
         second = (triangle & 1).astype(np.float32)
         # first triangle: s = u + v, t = v; second: s = u, t = u + v (see Geometry.triangles)
         # and stays below 1, so that int(s · columns) is a column
