@@ -132,7 +132,10 @@ def place_notice(report: Mapping[str, Any]) -> str | None:
     parts = report["status"]
     if (converged := parts["converged"]) >= HARDLY or parts["lost"] > _SOME_LOST:
         return None
-    return f"hardly any image says which place it is ({converged:.0%} are converged): is the model of this place?"
+    return (
+        f"hardly any image says which place it is ({converged:.0%} are converged): does the walk show something unique,"
+        " and is the model of this place?"
+    )
 
 
 def doubtful(record: RunRecord) -> Bool[np.ndarray, " n"] | None:
