@@ -10,7 +10,7 @@ MAX_MESSAGE = 1000
 """Characters of a message, at most."""
 _LONG_MESSAGE = 300  # characters beyond which long words and paths lose some; all else stays whole
 _MAX_QUOTED = 60
-_COMMAND = r"\S*`vapor-track [^`]*`\S*"  # to be copied: it stays whole
+_COMMAND = r"`vapor-track [^`]*`\S*"  # to be copied: it stays whole
 _LONG_PATH, _PATH_END = re.compile(rf"({_COMMAND})|/[^\s'\"]{{50,}}"), 40  # the end of a path matters most
 _MAX_BITS = 256  # of an integer that is written out: beyond some thousand digits Python refuses to
 
