@@ -111,7 +111,7 @@ def carry_out(
         except OutOfTime as error:
             over = f"its {max(begin_s, 0.0):.0f} s were over after {len(result.findings)} figures"
             result.outcome, result.reason = "out of time", str(error) or over
-        except Exception as error:
+        except Exception as error:  # whatever fails costs its stage, and not the figures of the others
             result.outcome = "failed"
             result.reason = f"{type(error).__name__}: {(str(error).strip() or 'no message').splitlines()[0]}"
         result.seconds = begin_s - deadline.left_s

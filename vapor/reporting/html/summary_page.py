@@ -49,10 +49,11 @@ class Site:
 
 @dataclass(frozen=True)
 class Area:
-    """A square where most is not right: its letter, plan, corner in units of the drawing, middle in the map (metres).
+    """A square where it was mostly not sure, or wrong: its letter, plan, corner in units of the drawing, middle in the
+    map (metres).
 
-    `state` is the most frequent one of the images that are not right, which are the fraction `failed`; `recordings` are
-    the names of those that have any there.
+    `state` is the most frequent one of such images, which are the fraction `failed`; `recordings` are the names of
+    those that have any there.
     """
 
     letter: str
@@ -143,7 +144,7 @@ def _map(outcomes: Sequence[Outcome], plans: Plans, areas: Sequence[Area]) -> li
 
 
 def _areas(outcomes: Sequence[Outcome], plans: Plans) -> list[Area]:
-    """Squares, no two side by side, where half of the images and more are not right, of two recordings and more."""
+    """Squares, no two side by side, with half of the images and more not sure, or wrong, of two recordings and more."""
     side_m = _side(plans) / plans.scale
     images: dict[tuple[int, ...], dict[str, float]] = defaultdict(lambda: dict.fromkeys(STATES, 0.0))
     failing: dict[tuple[int, ...], dict[str, None]] = defaultdict(dict)
