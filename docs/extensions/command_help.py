@@ -87,15 +87,6 @@ class CommandHelp(SphinxDirective):
         return section
 
 
-class CommandList(SphinxDirective):
-    """A list of all commands of `vapor-track`, each with what it does."""
-
-    def run(self) -> list[nodes.Node]:
-        """What the directive stands for."""
-        entries = [f"[{name}](commands/{name}.md)\n: {meaning}\n" for name, meaning in track.COMMANDS.items()]
-        return self.parse_text_to_nodes("\n".join(entries))
-
-
 def _entry(option: Option) -> str:
     ending = " **Required.**" if option.required else f" *Default:* `{option.default}`" if option.default else ""
     return f"````{{option}} {option.title}\n\n{_text(option.help)}{ending}\n````\n"
@@ -115,5 +106,4 @@ def _marked(text: str) -> str:
 def setup(app: Sphinx) -> dict[str, Any]:
     """Called by Sphinx."""
     app.add_directive("command-help", CommandHelp)
-    app.add_directive("command-list", CommandList)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

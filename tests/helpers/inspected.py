@@ -76,5 +76,5 @@ def walked(count: int = 120, *, at: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 def only(inspection: Inspection, *said: str) -> str:
     """The one sentence of a verdict with all these words."""
-    (sentence,) = [each for each in inspection.verdict if all(words in each for words in said)]
+    (sentence,) = [each for each in inspection.verdict.points if all(words in each for words in said)]
     return sentence

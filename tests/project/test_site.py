@@ -67,6 +67,8 @@ def test_every_command_has_its_page():
     for each, text in pages.items():
         assert text.startswith(f"# vapor-track {each}\n")
         assert f"```{{command-help}} vapor-track {each}\n```" in text
+    listed = "".join(f"| [{name}](commands/{name}.md) | {meaning} |\n" for name, meaning in COMMANDS.items())
+    assert listed in (DOCS / "commands.md").read_text(encoding="utf-8")
 
 
 def test_the_page_of_the_benchmarks_has_them_all():

@@ -126,11 +126,10 @@ def _page(found: Inspection, o: Options, picture: Path, command: str) -> Page:
     *found_parts, _ = parts(found)  # the last is the verdict
     seen = [("From above", [picture])] if found.coverage is not None else []
     asked = "Was it recorded well enough to train on, and what to record again?"
-    first, *others = found.verdict
-    rest = [("What else to do", [f"{number}. {sentence}" for number, sentence in enumerate(others, 2)])]
+    to_do = [("What to do", _points(found))]
     title = ", ".join(Path(entry).name for entry in o.data)
     return findings_page(
-        shortened(title, 100), asked, f"{first[0].upper()}{first[1:]}.", [*rest, *seen, *found_parts], command=command
+        shortened(title, 100), asked, f"{found.verdict.answer}.", [*to_do, *seen, *found_parts], command=command
     )
 
 
@@ -164,8 +163,12 @@ def parts(found: Inspection) -> list[Part]:
     shown.append(("Cameras" if found.has_several else "Camera", [*of_cameras]))
     if found.predictions is not None:
         shown.append(("The model", [*_model_lines(found.predictions, found.coverage)]))
-    shown.append(("Verdict", [f"{number}. {sentence}" for number, sentence in enumerate(found.verdict, 1)]))
+    shown.append(("Verdict", [f"{found.verdict.answer}.", *_points(found)]))
     return [(title, items) for title, items in shown if items]
+
+
+def _points(found: Inspection) -> list[str]:
+    return [f"{number}. {sentence}" for number, sentence in enumerate(found.verdict.points, 1)]
 
 
 def _first(items: Sequence[str]) -> str:

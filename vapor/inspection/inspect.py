@@ -19,7 +19,7 @@ from vapor.inspection.coverage import Coverage
 from vapor.inspection.odometry import OdometryCheck, check_odometry
 from vapor.inspection.predictions import Prediction, Predictions
 from vapor.inspection.reading import posed_images, read_walks
-from vapor.inspection.verdict import verdict
+from vapor.inspection.verdict import Verdict, verdict
 from vapor.inspection.walk import Walk
 from vapor.observation import VaporObservationModel
 from vapor.pipeline.unrecognised import MOST_IMAGES, SeenImage, why_unrecognised
@@ -33,8 +33,7 @@ _MOST = 0.5  # of the images
 class Inspection:
     """The findings on recordings, at least one, and notices on their true poses.
 
-    Without true poses there is no coverage, without both them and odometry no comparison of these. The verdict has the
-    most important sentence first.
+    Without true poses there is no coverage, without both them and odometry no comparison of these.
     """
 
     walks: tuple[Walk, ...]
@@ -44,7 +43,7 @@ class Inspection:
     cameras: Mapping[str, CameraCheck]
     predictions: Predictions | None
     notices: tuple[str, ...]
-    verdict: tuple[str, ...]
+    verdict: Verdict
 
     @property
     def has_several(self) -> bool:
@@ -64,7 +63,7 @@ class Inspection:
             ),
             "model": None if self.predictions is None else self.predictions.as_json(self.coverage),
             "notices": list(self.notices),
-            "verdict": list(self.verdict),
+            "verdict": {"answer": self.verdict.answer, **asdict(self.verdict)},
         }
 
 

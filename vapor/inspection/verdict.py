@@ -1,9 +1,10 @@
-"""Recommendations on recordings before training, as sentences, the most important first."""
+"""Whether recordings are good enough to train on, and what to do about it, the most important first."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 
@@ -15,8 +16,6 @@ from vapor.inspection.predictions import Predictions
 from vapor.inspection.walk import Walk
 from vapor.training_data.checks import said_of_colours
 from vapor.training_data.views import said_of_views
-
-GOOD_ENOUGH = "good enough: nothing found that another recording would mend"
 
 _FEW_IMAGES = 100
 _STANDS_M, _STANDS_RAD = 0.05, float(np.deg2rad(5.0))
@@ -32,6 +31,34 @@ _SCARCE = 0.5  # of what a storey would have if all had as many images
 _NAMED = 3
 
 
+@dataclass(frozen=True)
+class Verdict:
+    """Whether recordings are good enough to train on.
+
+    Attributes:
+        faults: What to put right before a training, a sentence each, the most important first.
+        advice: What would make the model better, likewise.
+    """
+
+    faults: tuple[str, ...]
+    advice: tuple[str, ...]
+
+    @property
+    def answer(self) -> str:
+        """In a sentence."""
+        if self.faults:
+            which = "point" if len(self.faults) == 1 else f"{len(self.faults)} points"
+            return f"Not good enough to train on yet: put right the first {which}"
+        if self.advice:
+            return "Good enough to train on; what the points ask for would make the model better"
+        return "Good enough to train on: nothing found that another recording would mend"
+
+    @property
+    def points(self) -> tuple[str, ...]:
+        """Faults and advice."""
+        return (*self.faults, *self.advice)
+
+
 def verdict(
     walks: Sequence[Walk],
     coverage: Coverage | None,
@@ -40,26 +67,19 @@ def verdict(
     predictions: Predictions | None,
     cameras: Mapping[str, CameraCheck] = {},
 ) -> tuple[str, ...]:
-    """Sentences with recommendations, or the one that recordings are good enough."""
-    found = [*_useless(walks, coverage), *_clocks(odometry, clocks), *_views(walks, odometry, clocks, cameras)]
+    """Judge by all that was found; see `Verdict`."""
+    faults = [*_useless(walks, coverage), *_clocks(odometry, clocks), *_views(walks, odometry, clocks, cameras)]
     if odometry is not None:
         # Images show already which of poses and odometry is turned or left-handed, where one of both agrees with them.
         sides = [{check.is_right for check in walk.checks if check.orientations} for walk in walks]
-        found += _odometry(odometry, is_named=any(len(of_walk) == 2 for of_walk in sides))
+        faults += _odometry(odometry, is_named=any(len(of_walk) == 2 for of_walk in sides))
+    advice = said_of_colours({walk.name: walk.colours for walk in walks})
     if coverage is not None:
-        found += _coverage(coverage)
-    for walk in walks:
-        found += _images(walk)
-    for name, camera in cameras.items():
-        if camera.disagrees:
-            found.append(
-                f"correct the intrinsics{f' of {name}' if len(cameras) > 1 else ''} (camera_info, intrinsics.json), or"
-                f" leave them to `train`, which uses the fitted ones for landmarks: {camera.in_words}"
-            )
-    found += _without(walks)
+        advice += _coverage(coverage)
+    advice += [*chain.from_iterable(map(_images, walks)), *_cameras(cameras), *_without(walks)]
     if coverage is not None and predictions is not None:
-        found += _model(coverage, predictions)
-    return tuple(found) or (GOOD_ENOUGH,)
+        advice += _model(coverage, predictions)
+    return Verdict(tuple(faults), tuple(advice))
 
 
 def _useless(walks: Sequence[Walk], coverage: Coverage | None) -> Iterator[str]:
@@ -88,7 +108,7 @@ def _views(
     clocks: Sequence[ImageClock],
     cameras: Mapping[str, CameraCheck],
 ) -> Iterator[str]:
-    """Contradictions of images, poses and colours."""
+    """Contradictions of images and poses."""
     # A better sentence on focal lengths follows.
     has_focal = len(cameras) == 1 and all(camera.disagrees and camera.of_all for camera in cameras.values())
     explained = {clock.name for clock in clocks if abs(clock.late_ms or 0.0) >= _IMAGES_LATE_MS}
@@ -103,7 +123,6 @@ def _views(
                 f"check the unit of the poses of {walk.name}: the camera moves at {speed:.3g} m/s in the median; are"
                 " they in millimetres?"
             )
-    yield from said_of_colours({walk.name: walk.colours for walk in walks})
 
 
 def _clocks(odometry: OdometryCheck | None, clocks: Sequence[ImageClock]) -> Iterator[str]:
@@ -205,6 +224,15 @@ def _images(walk: Walk) -> Iterator[str]:
             f"find out why images are missing: {name} has gaps of {lost:.1f} s in all, the longest of {long_s:.1f} s,"
             f" {at_s:.1f} s after its start"
         )
+
+
+def _cameras(cameras: Mapping[str, CameraCheck]) -> Iterator[str]:
+    for name, camera in cameras.items():
+        if camera.disagrees:
+            yield (
+                f"correct the intrinsics{f' of {name}' if len(cameras) > 1 else ''} (camera_info, intrinsics.json), or"
+                f" leave them to `train`, which uses the fitted ones for landmarks: {camera.in_words}"
+            )
 
 
 def _without(walks: Sequence[Walk]) -> Iterator[str]:

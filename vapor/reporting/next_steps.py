@@ -29,7 +29,7 @@ _OF_NOTICES: tuple[tuple[str, str], ...] = (
     ),
     (
         r"^hardly any image says which place",
-        "Check that the model is of this place, and that the walk shows something unique.",
+        "Check that the walk is in the place that the model, or the estimator, knows, and shows something unique.",
     ),
     (r"camera of unknown intrinsics", "State the focal length: record CameraInfo, or write an intrinsics.json."),
     (r"but their camera info states|^distortion model", "Correct the CameraInfo: it is not used as it is."),

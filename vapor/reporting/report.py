@@ -134,7 +134,7 @@ def place_notice(report: Mapping[str, Any]) -> str | None:
         return None
     return (
         f"hardly any image says which place it is ({converged:.0%} are converged): does the walk show something unique,"
-        " and is the model of this place?"
+        " and is it in the place that the model, or the estimator, knows?"
     )
 
 

@@ -83,7 +83,7 @@ def test_a_camera_turned_on_its_base_is_named_and_put_right_before_errors_are_fi
     assert found.axes is not None
     assert found.axes.is_turned
     np.testing.assert_allclose(np.degrees(found.axes.rotvec), [0.0, degrees, 0.0], atol=2.0)
-    (said,) = [sentence for sentence in verdict([], None, found, [], None) if "extrinsics" in sentence]
+    (said,) = [sentence for sentence in verdict([], None, found, [], None).points if "extrinsics" in sentence]
     assert re.search(r"turned by \d+° about \(-?0\.0, 1\.0, -?0\.0\)", said)
     assert found.fit is not None
     assert found.fit.scale == pytest.approx(0.03, abs=0.008)
@@ -95,7 +95,7 @@ def test_a_left_handed_frame_is_named_and_no_turn(across):
     found = compared(axes=np.diag(np.array(across, float)))
     assert found.axes is not None
     assert not any((found.axes.is_turned, found.axes.is_unlike))
-    assert any("left-handed" in sentence for sentence in verdict([], None, found, [], None))
+    assert any("left-handed" in sentence for sentence in verdict([], None, found, [], None).points)
 
 
 @pytest.mark.usefixtures("unchecked")
@@ -104,7 +104,7 @@ def test_a_left_handed_frame_is_named_and_no_turn(across):
 )
 def test_another_unit_is_named_and_put_right_before_errors_are_fitted(unit_m, unit):
     found = compared(unit_m=unit_m)
-    sentences = verdict([], None, found, [], None)
+    sentences = verdict([], None, found, [], None).points
     (said,) = [sentence for sentence in sentences if sentence.startswith("check units: odometry is ")]
     assert float(said.split()[4]) == pytest.approx(1 / unit_m, rel=0.03)
     assert said.endswith(f" in {unit} instead of metres")
@@ -167,7 +167,7 @@ def test_a_clock_that_is_off_is_found_and_named(late_s, odometry_ms, images_ms, 
     assert clock.late_ms == pytest.approx(images_ms, abs=10.0)
     assert found.odometry is not None
     assert found.odometry.typical_late_ms == pytest.approx(odometry_ms, abs=8.0)
-    said = [sentence for sentence in found.verdict if " against the " in sentence]
+    said = [sentence for sentence in found.verdict.points if " against the " in sentence]
     assert len(said) == (odometry_ms != 0) + (images_ms != 0)
     if odometry_ms:
         assert re.match(rf"odometry is {OFF[odometry_ms > 0]} against the true poses", said[0])
@@ -182,8 +182,8 @@ OFF = (r"\d+ ms early", r"\d+ ms late")
 def test_images_whose_view_does_not_shift_as_the_camera_turns_tell_no_clock(tmp_path):
     found = inspect([clocked(tmp_path / "w.mcap", image=lambda _: scenery(0), images=0.5)])
     assert [clock.late_ms for clock in found.clocks] == [None]
-    assert not any("against" in sentence for sentence in found.verdict)
-    assert found.verdict[1].startswith("w.mcap: images do not move like true poses and odometry, ")
+    assert not any("against" in sentence for sentence in found.verdict.points)
+    assert found.verdict.points[1].startswith("w.mcap: images do not move like true poses and odometry, ")
 
 
 @pytest.mark.usefixtures("unchecked", "no_odometry_fit")
@@ -199,5 +199,5 @@ def test_half_a_period_late_and_upside_down_are_both_named_of_a_camera_that_pans
     turns = 0.6 * np.sin(np.arange(300) * 0.1 * np.pi / 2)  # 4 s
     path = Poses.exp(turns[:, None] * np.eye(6)[5]) @ Poses(LEVEL, np.zeros(3))
     late = inspect([write(tmp_path / "w.mcap", path, image=lambda i: panorama(path[max(i - 20, 0)]))])
-    assert re.match(r"the images of w\.mcap are \d+ ms (late|early) against the odometry", late.verdict[0])
-    assert "the images are upside down" in late.verdict[1]
+    assert re.match(r"the images of w\.mcap are \d+ ms (late|early) against the odometry", late.verdict.points[0])
+    assert "the images are upside down" in late.verdict.points[1]

@@ -18,7 +18,7 @@ from tests.helpers.pages import ReadPage, entities_of
 from tests.helpers.sequence_files import BEGIN_NS, rewrite
 from vapor.inspection.inspect import inspect
 from vapor.inspection.reading import posed_images, read_walks
-from vapor.inspection.verdict import GOOD_ENOUGH, verdict
+from vapor.inspection.verdict import Verdict, verdict
 from vapor.track import main
 
 pytestmark = pytest.mark.usefixtures("no_odometry_fit")
@@ -61,7 +61,7 @@ def test_a_dull_view_is_not_taken_for_blur(tmp_path):
 @pytest.mark.usefixtures("unchecked", "no_views")
 def test_images_all_alike_and_frozen_ones_are_said(tmp_path):
     same = inspect([write(tmp_path / "same.mcap", walked(), image=lambda _: scenery(0))])
-    assert same.verdict[0] == "record same.mcap again: its 120 images are all one and the same"
+    assert same.verdict.points[0] == "record same.mcap again: its 120 images are all one and the same"
     frozen = inspect([write(tmp_path / "f.mcap", walked(), image=lambda i: scenery(i if i < 40 else max(i, 60)))])
     assert frozen.walks[0].frozen == [(40, 60)]
     only(frozen, "20 images of f.mcap repeat the one before, such as 40 to 60")
@@ -74,7 +74,9 @@ def test_images_all_alike_and_frozen_ones_are_said(tmp_path):
 def test_a_good_recording_is_good_enough(tmp_path):
     walks = [walked(60, at=(0.05 * i, 0.0, 0.0)) for i in range(4)]
     paths = [write(tmp_path / f"w{i}.mcap", w, image=lambda j, w=w: panorama(w[j])) for i, w in enumerate(walks)]
-    assert inspect(paths).verdict == (GOOD_ENOUGH,)
+    found = inspect(paths)
+    assert found.verdict == Verdict((), ())
+    assert found.verdict.answer == "Good enough to train on: nothing found that another recording would mend"
 
 
 def test_without_true_poses_all_else_is_said_and_what_to_give(tmp_path):
@@ -82,7 +84,7 @@ def test_without_true_poses_all_else_is_said_and_what_to_give(tmp_path):
     assert found.coverage is None
     assert found.odometry is None
     assert len(found.walks[0]) == 30
-    assert found.verdict[0].startswith("give w.mcap true poses, which `train` needs: no ")
+    assert found.verdict.points[0].startswith("give w.mcap true poses, which `train` needs: no ")
     json.dumps(found.as_json(), allow_nan=False)
 
 
@@ -147,7 +149,7 @@ def test_a_data_set_on_disk_is_inspected_as_well(tmp_path):
     found = inspect([make_tum(tmp_path / "desk")])
     assert found.coverage is not None
     assert found.odometry is None
-    assert not any("odometry" in sentence for sentence in found.verdict)
+    assert not any("odometry" in sentence for sentence in found.verdict.points)
 
 
 # --- with a model --------------------------------------------------------------------------------------
@@ -178,9 +180,10 @@ def test_where_a_model_errs_is_said_with_place_direction_and_passes(tmp_path):
     x = float(sentence.split("near (")[1].split(",")[0])
     assert 4.0 <= x <= 5.0
     unlike = replace(found.predictions, ood_score=np.full(120, 2.0))
-    said = verdict(found.walks, found.coverage, None, (), unlike)
+    said = verdict(found.walks, found.coverage, None, (), unlike).points
     assert said[-1] == "train on more of this: 100 % of the images look unlike all that the model was trained on"
-    said = verdict(found.walks, found.coverage, None, (), replace(unlike, why_out_of_distribution="they are dark"))
+    unlike = replace(unlike, why_out_of_distribution="they are dark")
+    said = verdict(found.walks, found.coverage, None, (), unlike).points
     assert said[-1] == "100 % of the images look unlike all that the model was trained on: they are dark"
 
 
@@ -197,9 +200,10 @@ def test_dim_images_poses_in_millimetres_and_swapped_colours_are_said(tmp_path):
     paths.append(write(tmp_path / "mm.mcap", far, image=changes["good"]))
     found = inspect(paths)
     only(found, "make light, or expose for longer: the images of dim.mcap are dark, ")
+    assert found.verdict.answer == "Not good enough to train on yet: put right the first point"  # millimetres
     only(found, "swapped.mcap: red and blue are swapped, beside the other recordings")
     only(found, "check the unit of the poses of mm.mcap: the camera moves at", "are they in millimetres?")
-    assert not any("good.mcap" in sentence and "record" not in sentence for sentence in found.verdict)
+    assert not any("good.mcap" in sentence and "record" not in sentence for sentence in found.verdict.points)
 
 
 # --- the command ---------------------------------------------------------------------------------------
@@ -210,12 +214,14 @@ def test_the_command_writes_report_and_map_and_says_its_verdict(tmp_path, tiny_m
     assert main([*words, "--model", str(tiny_model)]) == 0
     said = capfd.readouterr().out
     assert "Verdict" in said
+    assert "Not good enough to train on yet: put right the first " in said
     assert "1. record more: 25 images with true poses" in said
     report = json.loads((tmp_path / "out" / "deeper" / "report.json").read_text())
     assert report["walks"][0]["images"] == 25
     assert report["model"]["images"] == 25
     page = ReadPage.of((tmp_path / "out" / "deeper" / "report.html").read_text())
-    assert all(sentence in page.words or sentence[1:] in page.words for sentence in report["verdict"])
+    assert f"{report['verdict']['answer']}." in page.words
+    assert all(sentence in page.words for sentence in report["verdict"]["faults"] + report["verdict"]["advice"])
     assert page.cells[page.cells.index("images") + 10 :][:3] == [walk_of_25.name, "25", "25"]
     picture = cv2.imread(str(tmp_path / "out" / "deeper" / "map.png"))
     assert picture is not None

@@ -89,7 +89,7 @@ def few() -> str:
         ),
         (lambda: unrecognised(lambda image, camera: 0.1), "Compare clocks and axes"),
         (lambda: unrecognised(lambda image, camera: 3.0), "Check that the model is of this place"),
-        (nowhere, "Check that the model is of this place, and"),
+        (nowhere, "Check that the walk is in the place that the model, or the estimator, knows, and"),
         (few, "Mend the recording"),
     ],
 )
@@ -126,7 +126,7 @@ def test_nothing_that_depends_on_positions_is_asked_of_a_run_without_any():
 
 
 def test_the_place_is_doubted_where_hardly_an_image_says_which_it_is():
-    assert "and is the model of this place?" in nowhere()
+    assert "is it in the place that the model, or the estimator, knows?" in nowhere()
     assert place_notice({"status": {"converged": 0.05, "ambiguous": 0.95, "lost": 0.0}}) is None
     assert place_notice({"status": {"converged": 0.0, "ambiguous": 0.0, "lost": 1.0}}) is None  # others say why
     assert is_placed({"converged": 0.6, "lost": 0.4})

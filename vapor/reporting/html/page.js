@@ -140,12 +140,9 @@ function scene(element, data) {
     output.textContent = `${moment.time_s.toFixed(1)} s · ${moment.status} · ${moment.weights.length} ` +
       (moment.weights.length === 1 ? "mode" : `modes, best ${Math.round(100 * moment.weights[0])} %`);
     slider.setAttribute("aria-valuetext", output.textContent);
-    let chosen = null;
-    for (const button of buttons) {
-      if (Number(button.dataset.moment) <= at) chosen = button;
-      button.setAttribute("aria-pressed", "false");
-    }
-    if (chosen) chosen.setAttribute("aria-pressed", "true");
+    const away = button => Math.abs(Number(button.dataset.moment) - at);
+    const nearest = buttons.reduce((best, each) => away(each) < away(best) ? each : best, buttons[0]);
+    for (const button of buttons) button.setAttribute("aria-pressed", String(button === nearest));
     if (seen) {
       seen.querySelector("img").src = moment.image;
       seen.querySelector("figcaption").textContent = `Image at ${moment.time_s.toFixed(1)} s` +
