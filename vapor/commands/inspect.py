@@ -41,6 +41,7 @@ from vapor.inspection.inspect import Inspection, inspect
 from vapor.inspection.picture import draw_map
 from vapor.inspection.predictions import Predictions
 from vapor.inspection.recording import record_coverage
+from vapor.inspection.verdict import late_said
 from vapor.inspection.walk import Walk
 from vapor.observation import VaporObservationModel
 from vapor.reporting.html.page import Page, findings_page, write_page
@@ -245,23 +246,23 @@ def _odometry_lines(found: Inspection) -> Iterator[str]:
         return
     axes = check.axes
     if axes is None:
-        yield "axes: too short to compare"
+        yield "motions of odometry and true poses: too short to compare"
     else:
         mirrored = f", mirrored {axes.correlation_mirrored:.2f}: one is left-handed" if axes.is_mirrored else ""
         turned = f", {axes.correlation_turned:.2f} {axes.turn_in_words}: extrinsics?" if axes.is_turned else ""
-        yield f"axes: correlation of motions {axes.correlation:.2f}{mirrored}{turned}"
+        yield f"motions of odometry and true poses over a second: correlation {axes.correlation:.2f}{mirrored}{turned}"
     if check.late_ms:
-        late = [f"{ms:+.0f} ms ({name})" for name, ms in check.late_ms.items()]
-        yield f"clock, late against the true poses by: {_first(late)}"
+        late = [f"{late_said(ms)} ({name})" for name, ms in check.late_ms.items()]
+        yield f"odometry's stamps against the true poses: {_first(late)}"
     for reason in dict.fromkeys(check.unknown_late.values()):
         names = [name for name, own in check.unknown_late.items() if own == reason]
-        yield f"clock of {_first(names)} unknown: {reason}"
+        yield f"odometry's stamps against the true poses: unknown in {_first(names)}: {reason}"
     yield from [f"errors unknown: {check.no_fit}"] if check.fit is None else str(check.fit).splitlines()
 
 
 def _clock_lines(clocks: Sequence[ImageClock]) -> Iterator[str]:
-    if late := [f"{c.late_ms:+.0f} ms ({c.name}, {c.against})" for c in clocks if c.late_ms is not None]:
-        yield f"clock of the images, late by: {_first(late)}"
+    if late := [f"{late_said(c.late_ms)} ({c.name}, {c.against})" for c in clocks if c.late_ms is not None]:
+        yield f"stamps of the images, as what they show moves: {_first(late)}"
 
 
 def _view_lines(walks: Sequence[Walk]) -> Iterator[str]:

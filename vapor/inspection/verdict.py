@@ -130,18 +130,19 @@ def _clocks(odometry: OdometryCheck | None, clocks: Sequence[ImageClock]) -> Ite
     late_ms = None if odometry is None else odometry.typical_late_ms
     if late_ms is not None and abs(late_ms) >= _LATE_MS:
         yield (
-            f"odometry is {_late_said(late_ms)} against the true poses: use --time-offset-s auto where these are"
+            f"odometry is {late_said(late_ms)} against the true poses: use --time-offset-s auto where these are"
             " a file (--poses), else correct the stamps"
         )
     for clock in clocks:
         if clock.late_ms is not None and abs(clock.late_ms) >= _IMAGES_LATE_MS:
             yield (
-                f"the images of {clock.name} are {_late_said(clock.late_ms)} against the {clock.against}, as what"
+                f"the images of {clock.name} are {late_said(clock.late_ms)} against the {clock.against}, as what"
                 " they show moves: correct the stamps, or see whether --stamps log has one clock for all"
             )
 
 
-def _late_said(late_ms: float) -> str:
+def late_said(late_ms: float) -> str:
+    """How late a clock is, in words."""
     return f"{abs(late_ms):.0f} ms {'late' if late_ms > 0 else 'early'}"
 
 
