@@ -47,38 +47,59 @@ def test_a_name_that_is_not_public_is_no_attribute():
         vapor.PartikelFilter  # noqa: B018
 
 
+def _modules(code):
+    """Of a process that runs this, those that are loaded, by what it says they are loaded after."""
+    code = f"import sys\nseen = lambda after: print(after, *sys.modules)\n{code}"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    lines = [line.split() for line in done.stdout.splitlines()]
+    return {line[0]: {*line[1:]} for line in lines if "sys" in line}
+
+
+def test_importing_loads_only_the_needed_packages():
+    loaded = _modules("""
+import vapor; seen("package")
+vapor.ParticleLocalizer, vapor.SequenceReader; seen("filter")
+vapor.Estimate, vapor.PosePosterior, vapor.StreamLocalizer; seen("parts")
+vapor.VaporObservationModel, vapor.run, vapor.fuse; seen("model")
+vapor.read_run, vapor.read_tum, vapor.plot_trajectories; seen("results")
+vapor.live, vapor.LiveConfig; seen("live")
+vapor.TrainConfig, vapor.PRESETS; seen("training")
+""")
+    assert not {"numpy", "scipy", "cv2", *HEAVY} & loaded.pop("package")
+    assert loaded.keys() == {"filter", "parts", "model", "results", "live", "training"}
+    for after, modules in loaded.items():
+        assert not HEAVY & modules, after
+
+
 @pytest.mark.parametrize(
     ("code", "absent"),
     [
-        ("import vapor", {"torch", "numpy", "scipy", "cv2", "gtsam", "rerun", "plotly", "embreex", "matplotlib"}),
-        ("import vapor; vapor.ParticleLocalizer, vapor.SequenceReader", HEAVY),
-        ("import vapor; vapor.VaporObservationModel, vapor.run, vapor.fuse", HEAVY),
-        ("import vapor; vapor.live, vapor.LiveConfig", HEAVY | {"scipy.optimize", "scipy.stats"}),
-        ("import vapor; vapor.Estimate, vapor.PosePosterior, vapor.StreamLocalizer", HEAVY),
-        ("import vapor; vapor.read_run, vapor.read_tum, vapor.plot_trajectories", HEAVY),
-        ("import vapor; vapor.TrainConfig, vapor.PRESETS", HEAVY),
+        ("import vapor; vapor.live, vapor.LiveConfig", {"scipy.optimize", "scipy.stats"}),
         ("from filtering import storeys; storeys.peaks_of(storeys.np.arange(3.0), 1)", {"scipy.signal", "scipy.stats"}),
     ],
 )
-def test_importing_loads_only_the_needed_packages(code, absent):
-    code = f"import sys; {code}; print(*sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert not absent & {*done.stdout.split()}
+def test_parts_of_scipy_are_loaded_where_they_are_used(code, absent):
+    assert not absent & _modules(f"{code}; seen('it')")["it"]
+
+
+def test_help_loads_no_heavy_package():
+    loaded = _modules(f"""
+from vapor.track import main
+for command in {[*COMMANDS]}:
+    try:
+        main([command, "--help"])
+    except SystemExit:
+        pass
+    seen(command)
+""")
+    assert loaded.keys() == COMMANDS.keys()
+    for command, modules in loaded.items():
+        assert f"vapor.commands.{command}" in modules
+        assert not HEAVY & modules, command
 
 
 def _loaded_by(words):
-    code = (
-        f"import atexit, sys; atexit.register(lambda: print(*sys.modules)); from vapor.track import main; main({words})"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    return {*done.stdout.splitlines()[-1].split()}
-
-
-@pytest.mark.parametrize("command", COMMANDS)
-def test_help_loads_no_heavy_package(command):
-    loaded = _loaded_by([command, "--help"])
-    assert f"vapor.commands.{command}" in loaded
-    assert not HEAVY & loaded
+    return _modules(f"import atexit; atexit.register(seen, 'all'); from vapor.track import main; main({words})")["all"]
 
 
 def test_a_run_without_a_recording_loads_what_it_uses_only(walk_of_25, tiny_model, tmp_path):
