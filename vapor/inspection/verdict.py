@@ -66,7 +66,7 @@ def verdict(
     clocks: Sequence[ImageClock],
     predictions: Predictions | None,
     cameras: Mapping[str, CameraCheck] = {},
-) -> tuple[str, ...]:
+) -> Verdict:
     """Judge by all that was found; see `Verdict`."""
     faults = [*_useless(walks, coverage), *_clocks(odometry, clocks), *_views(walks, odometry, clocks, cameras)]
     if odometry is not None:
