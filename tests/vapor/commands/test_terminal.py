@@ -15,6 +15,7 @@ from rich.cells import cell_len
 from filtering.errors import MAX_MESSAGE, VaporTrackError, shortened
 from tests.helpers.checkout import CHECKOUT
 from tests.helpers.command_line import main
+from tests.helpers.full import some
 from tests.helpers.simulated_run import simulated_record
 from vapor.commands import console
 from vapor.commands.terminal import Signals, write_error
@@ -194,7 +195,7 @@ def test_an_error_keeps_its_status_where_it_cannot_be_told():
     assert process.returncode == 2
 
 
-@pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
+@pytest.mark.parametrize("encoding", some(1, ["ascii", "latin-1"]))
 def test_help_tables_and_errors_are_printed_on_terminals_of_any_encoding(encoding, tmp_path):
     process = started([*COMMAND, "train", "--help"], env={"PYTHONIOENCODING": encoding})
     out, err = process.communicate(timeout=60)

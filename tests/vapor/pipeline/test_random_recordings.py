@@ -25,7 +25,7 @@ from vapor.pipeline.config import FilteringConfig
 from vapor.pipeline.localize import localize
 from vapor.pipeline.results import write_results
 
-SEEDS = int(os.environ.get("SEEDS", "30"))
+SEEDS = int(os.environ.get("SEEDS", "20"))
 AT_ONCE = 10
 CONFIG = FilteringConfig(recording=False)
 

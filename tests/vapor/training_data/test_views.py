@@ -17,6 +17,7 @@ from filtering.se3 import Poses
 from sequences.datasets.frames import posed_frames
 from sequences.frame import BASE_FROM_CAMERA, Frame
 from sequences.scenes.staircase import walk_stairs
+from tests.helpers.full import some
 from tests.helpers.inspected import CAMERA, LEVEL, panorama
 from vapor.training_data.views import AS_STATED, ViewCheck, Views, said_of_views
 
@@ -160,7 +161,7 @@ def test_true_poses_of_every_other_image_are_enough(frames):
     assert check.is_right
 
 
-@pytest.mark.parametrize("scale", [1 / 30, 30.0])
+@pytest.mark.parametrize("scale", some(1, [1 / 30, 30.0]))
 def test_a_real_place_may_be_of_any_size(scale, shared_data: Path):
     """The same images, as if of a desk of some centimetres, or as large as a square."""
     real = list(posed_frames(shared_data / "tum_fr1" / "rgbd_dataset_freiburg1_xyz"))
