@@ -29,16 +29,15 @@ def main(arguments: Sequence[str], docs: Path = ROOT / "docs", folder: Path = RO
     entries = measurements.entries
     if list(arguments) == ["--list"]:
         for name, entry in entries.items():
-            result = measurements.result(name) or {"date": "never"}
-            state = f"{result['date']}{', earlier code' if result.get('carried_over') else ''}"
-            print(f"{name:20} {f'{entry.minutes} min' if entry.commands else '':>8}  {state:26} {entry.title}")
+            measured = (measurements.result(name) or {"date": "never"})["date"]
+            print(f"{name:20} {entry.minutes:4} min  {measured:10}  {entry.title}")
         left = sum(entries[name].minutes for name in measurements.missing)
         print(f"{left / 60:.0f} hours for the {len(measurements.missing)} that are not measured yet")
         return 0
     names = [] if list(arguments) == ["--page"] else list(arguments) or measurements.missing
-    unknown = [name for name in names if not (name in entries and entries[name].commands)]
+    unknown = [name for name in names if name not in entries]
     if unknown:
-        print(f"{', '.join(unknown)}: nothing to measure, expected some of {', '.join(entries)}", file=sys.stderr)
+        print(f"{', '.join(unknown)}: no such measurement, expected some of {', '.join(entries)}", file=sys.stderr)
         return 2
     failures = []
     for name in names:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import tomllib
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ class Measurement:
         title: Its own heading.
         about: What is measured, on which data: synthetic, simulated or real.
         minutes: How long it takes on two cores, roughly.
-        commands: Shell, run one after the other in its folder; none where its commands are no longer there.
+        commands: Shell, run one after the other in its folder.
         table: What is taken from the files that these write, see `docs.measuring.tables`.
         note: What the figures show, and why they fall short.
     """
@@ -30,9 +30,9 @@ class Measurement:
     part: str
     title: str
     about: str
-    minutes: int = 0
-    commands: list[str] = field(default_factory=list)
-    table: list[dict[str, Any]] = field(default_factory=list)
+    minutes: int
+    commands: list[str]
+    table: list[dict[str, Any]]
     note: str = ""
 
 
@@ -69,8 +69,7 @@ class Measurements:
         """What a measurement gave; None where there is nothing yet.
 
         JSON: `date`, `processor`, `commit` (of the code), `version`, `seconds`, `commands`, `tables` (see
-        `docs.measuring.tables`); or, of one that was published before there were such files, `carried_over`: true,
-        `date`, `processor` and `tables`.
+        `docs.measuring.tables`).
         """
         file = self.docs / "measurements" / f"{name}.json"
         return json.loads(file.read_text(encoding="utf-8")) if file.exists() else None
@@ -82,12 +81,8 @@ class Measurements:
 
     @property
     def missing(self) -> list[str]:
-        """Names of those that can be measured, and are not there or carried over."""
-        return [name for name, each in self.entries.items() if each.commands and not self._is_measured(name)]
-
-    def _is_measured(self, name: str) -> bool:
-        result = self.result(name)
-        return result is not None and not result.get("carried_over")
+        """Names of those without a result."""
+        return [name for name in self.entries if self.result(name) is None]
 
 
 def _dumped(value: Any, indent: int = 0) -> str:

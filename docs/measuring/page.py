@@ -13,7 +13,7 @@ _UNITS = {"cm": (100.0, 1), "%": (100.0, 0), "min": (1.0 / 60.0, 0), "s": (1.0, 
 
 def page_of(measurements: Measurements) -> str:
     """The whole page, as Markdown."""
-    parts = [measurements.introduction.strip(), _state(measurements)]
+    parts = [measurements.introduction.strip()]
     under = ""
     for name, each in measurements.entries.items():
         if each.part != under:
@@ -23,16 +23,6 @@ def page_of(measurements: Measurements) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def _state(measurements: Measurements) -> str:
-    entries = measurements.entries
-    of_before = [name for name in entries if (measurements.result(name) or {}).get("carried_over")]
-    measured = len(entries) - len(of_before) - sum(measurements.result(name) is None for name in entries)
-    return (
-        f"{len(entries)} measurements: {measured} by `make measurements`, each with the commit of its code, and"
-        f" {len(of_before)} published before there was this command, of earlier code."
-    )
-
-
 def _section(entry: Measurement, result: Mapping[str, Any] | None) -> Iterator[str]:
     yield f"### {entry.title}"
     yield entry.about.strip()
@@ -40,22 +30,18 @@ def _section(entry: Measurement, result: Mapping[str, Any] | None) -> Iterator[s
         yield _table(table)
     if entry.note:
         yield entry.note.strip()
-    if entry.commands:
-        yield "```sh\n" + "\n".join(command.strip() for command in entry.commands) + "\n```"
+    yield "```sh\n" + "\n".join(command.strip() for command in entry.commands) + "\n```"
     yield f"*{_provenance(entry, result)}*"
 
 
 def _provenance(entry: Measurement, result: Mapping[str, Any] | None) -> str:
     if result is None:
         return "Not measured yet."
-    on = f" on {result['processor']}" if result.get("processor") else ""
-    if result.get("carried_over"):
-        others = "; numbers of places, walks and runs may be others than stated" if entry.commands else ""
-        return f"Published on {result['date']}, measured with earlier code{on}{others}."
     minutes = max(round(result["seconds"] / 60), 1)
     took = f"{minutes} min" if minutes < 120 else f"{minutes / 60:.1f} h"
     changed = "" if result["commands"] == [command.strip() for command in entry.commands] else " by earlier commands"
-    return f"Measured on {result['date']}{changed}: {result['version']}, commit {result['commit']}, {took}{on}."
+    of_code = f"{result['version']}, commit {result['commit']}"
+    return f"Measured on {result['date']}{changed}: {of_code}, {took} on {result['processor']}."
 
 
 def _table(table: Mapping[str, Any]) -> str:
