@@ -256,13 +256,14 @@ def _odometry_lines(found: Inspection) -> Iterator[str]:
         yield f"odometry's stamps against the true poses: {_first(late)}"
     for reason in dict.fromkeys(check.unknown_late.values()):
         names = [name for name, own in check.unknown_late.items() if own == reason]
-        yield f"odometry's stamps against the true poses: unknown in {_first(names)}: {reason}"
+        yield f"odometry's stamps against the true poses are unknown in {_first(names)}: {reason}"
     yield from [f"errors unknown: {check.no_fit}"] if check.fit is None else str(check.fit).splitlines()
 
 
 def _clock_lines(clocks: Sequence[ImageClock]) -> Iterator[str]:
-    if late := [f"{late_said(c.late_ms)} ({c.name}, {c.against})" for c in clocks if c.late_ms is not None]:
-        yield f"stamps of the images, as what they show moves: {_first(late)}"
+    known = [(clock.name, clock.late_ms, clock.against) for clock in clocks if clock.late_ms is not None]
+    if late := [f"{late_said(late_ms)} against the {against} ({name})" for name, late_ms, against in known]:
+        yield f"stamps of the images, by the motion that they show: {_first(late)}"
 
 
 def _view_lines(walks: Sequence[Walk]) -> Iterator[str]:

@@ -14,7 +14,7 @@ from vapor.inspection.coverage import Coverage
 from vapor.inspection.odometry import OdometryCheck
 from vapor.inspection.predictions import Predictions
 from vapor.inspection.walk import Walk
-from vapor.training_data.checks import said_of_colours
+from vapor.training_data.checks import said_of_bluish_colours, said_of_swapped_colours
 from vapor.training_data.views import said_of_views
 
 _FEW_IMAGES = 100
@@ -29,6 +29,7 @@ _DIM = 30.0  # mean of the grey image, of 255
 _UNKNOWN = 0.05  # of the images
 _SCARCE = 0.5  # of what a storey would have if all had as many images
 _NAMED = 3
+_MOST = 0.5  # of the images of a recording
 
 
 @dataclass(frozen=True)
@@ -47,10 +48,10 @@ class Verdict:
     def answer(self) -> str:
         """In a sentence."""
         if self.faults:
-            which = "point" if len(self.faults) == 1 else f"{len(self.faults)} points"
-            return f"Not good enough to train on yet: put right the first {which}"
+            which = "the first point" if len(self.faults) == 1 else f"the first {len(self.faults)} points"
+            return f"Not good enough to train on yet: put right {which if self.advice else 'what follows'}"
         if self.advice:
-            return "Good enough to train on; what the points ask for would make the model better"
+            return "Good enough to train on; the points say what would be better still"
         return "Good enough to train on: nothing found that another recording would mend"
 
     @property
@@ -68,15 +69,19 @@ def verdict(
     cameras: Mapping[str, CameraCheck] = {},
 ) -> Verdict:
     """Judge by all that was found; see `Verdict`."""
+    colours = {walk.name: walk.colours for walk in walks}
     faults = [*_useless(walks, coverage), *_clocks(odometry, clocks), *_views(walks, odometry, clocks, cameras)]
     if odometry is not None:
         # Images show already which of poses and odometry is turned or left-handed, where one of both agrees with them.
         sides = [{check.is_right for check in walk.checks if check.orientations} for walk in walks]
         faults += _odometry(odometry, is_named=any(len(of_walk) == 2 for of_walk in sides))
-    advice = said_of_colours({walk.name: walk.colours for walk in walks})
-    if coverage is not None:
-        advice += _coverage(coverage)
-    advice += [*chain.from_iterable(map(_images, walks)), *_cameras(cameras), *_without(walks)]
+    faults += said_of_swapped_colours(colours)
+    advice = [] if coverage is None else [*_coverage(coverage)]
+    for share, sentence in (each for walk in walks for each in _images(walk)):
+        (faults if share > _MOST else advice).append(sentence)
+    advice += [*_cameras(cameras), *_scale(odometry), *_without(walks)]
+    if not faults:
+        advice += said_of_bluish_colours(colours)
     if coverage is not None and predictions is not None:
         advice += _model(coverage, predictions)
     return Verdict(tuple(faults), tuple(advice))
@@ -136,18 +141,18 @@ def _clocks(odometry: OdometryCheck | None, clocks: Sequence[ImageClock]) -> Ite
     for clock in clocks:
         if clock.late_ms is not None and abs(clock.late_ms) >= _IMAGES_LATE_MS:
             yield (
-                f"the images of {clock.name} are {late_said(clock.late_ms)} against the {clock.against}, as what"
-                " they show moves: correct the stamps, or see whether --stamps log has one clock for all"
+                f"the images of {clock.name} are {late_said(clock.late_ms)} against the {clock.against}, by the"
+                " motion that they show: correct the stamps, or see whether --stamps log has one clock for all"
             )
 
 
 def late_said(late_ms: float) -> str:
     """How late a clock is, in words."""
-    return f"{abs(late_ms):.0f} ms {'late' if late_ms > 0 else 'early'}"
+    return f"{abs(late_ms):.0f} ms {'late' if late_ms > 0 else 'early'}" if abs(late_ms) >= 0.5 else "on time"
 
 
 def _odometry(check: OdometryCheck, *, is_named: bool) -> Iterator[str]:
-    axes, fit = check.axes, check.fit
+    axes = check.axes
     if axes is not None and not is_named:
         if axes.is_mirrored:
             yield "check odometry and true poses: one is left-handed, as their motions are each other's mirror images"
@@ -166,6 +171,11 @@ def _odometry(check: OdometryCheck, *, is_named: bool) -> Iterator[str]:
             f"check units: odometry is {axes.length_ratio:.4g} m long for each metre of the true poses, as if the"
             f" longer were in {axes.unit} instead of metres"
         )
+
+
+def _scale(check: OdometryCheck | None) -> Iterator[str]:
+    """Training does without odometry."""
+    fit = None if check is None else check.fit
     if fit is not None and abs(fit.scale) > max(_SCALE, _CERTAIN * fit.scale_error):
         far = "long" if fit.scale > 0 else "short"
         yield (
@@ -192,39 +202,43 @@ def _coverage(coverage: Coverage) -> Iterator[str]:
         yield f"record again what {whose}, {100 * alone:.0f} % of the images: {_first(segments)}"
 
 
-def _images(walk: Walk) -> Iterator[str]:
+def _images(walk: Walk) -> Iterator[tuple[float, str]]:
+    """Each with the share of the images that show nothing for it."""
     name = walk.name
     blurred, dark, blown, jumps = (float(each.mean()) for each in (walk.blurred, walk.dark, walk.blown, walk.jumps))
     brightness = float(np.median(walk.looks["brightness"]))
     if blurred > _BLURRED:
-        yield (
-            f"walk and turn more slowly, or in more light: {100 * blurred:.0f} % of the images of {name} are blurred"
-        )
+        said = f"walk and turn more slowly, or in more light: {100 * blurred:.0f} % of the images of {name} are blurred"
+        yield 0.0, said
     if dark > _BADLY_EXPOSED:
-        yield f"make light, or expose for longer: {100 * dark:.0f} % of the images of {name} are nearly black"
+        yield dark, f"make light, or expose for longer: {100 * dark:.0f} % of the images of {name} are nearly black"
     elif brightness < _DIM:
-        yield f"make light, or expose for longer: the images of {name} are dark, {brightness:.0f} of 255 in the median"
+        said = f"make light, or expose for longer: the images of {name} are dark, {brightness:.0f} of 255 in the median"
+        yield 0.0, said
     if blown > _BADLY_EXPOSED:
-        yield f"expose for less long: {100 * blown:.0f} % of the images of {name} are blown out"
+        yield blown, f"expose for less long: {100 * blown:.0f} % of the images of {name} are blown out"
     if jumps > _JUMPS and walk.jumps.sum() > 1:
-        yield (
+        said = (
             f"fix the exposure, or walk without sudden light: {name} gets half a stop brighter or darker from one image"
             f" to the next {walk.jumps.sum()} times"
         )
+        yield 0.0, said
     frozen = sum(last - first for first, last in walk.frozen)
     if frozen > _FROZEN * len(walk) and not walk.repeated[1:].all():
         first, last = max(walk.frozen, key=lambda run: run[1] - run[0])
-        yield (
+        said = (
             f"look at the camera's driver: {frozen} images of {name} repeat the one before, such as {first} to {last}"
         )
+        yield frozen / len(walk), said
     gaps = walk.gaps
     lost = sum(long_s for _, long_s in gaps)
     if gaps and (gaps[0][1] > _LONG_GAP_S or lost > _LOST * walk.seconds[-1]):
         at_s, long_s = gaps[0]
-        yield (
+        said = (
             f"find out why images are missing: {name} has gaps of {lost:.1f} s in all, the longest of {long_s:.1f} s,"
             f" {at_s:.1f} s after its start"
         )
+        yield 0.0, said
 
 
 def _cameras(cameras: Mapping[str, CameraCheck]) -> Iterator[str]:

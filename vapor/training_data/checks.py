@@ -102,10 +102,20 @@ class Colours:
 
 
 def said_of_colours(recordings: Mapping[str, Colours]) -> list[str]:
-    """Notices on recordings whose red and blue are swapped, or seem to be.
+    """Notices on recordings whose red and blue are swapped, or else seem to be."""
+    return said_of_swapped_colours(recordings) or said_of_bluish_colours(recordings)
 
-    The colours of such a recording fit the others only when swapped; or all recordings are bluish.
-    """
+
+def said_of_bluish_colours(recordings: Mapping[str, Colours]) -> list[str]:
+    """A question where all recordings are bluish."""
+    return [
+        f"{_listed(recordings)}: more blue than red in nearly all images, as few places have it: see whether these are"
+        " swapped (BGR that is labelled RGB)"
+    ] * all(colours.are_bluish for colours in recordings.values())
+
+
+def said_of_swapped_colours(recordings: Mapping[str, Colours]) -> list[str]:
+    """A notice on recordings whose colours fit the others only when red and blue are swapped."""
     shares = {name: colours.share for name, colours in recordings.items()}
     found = []
     for name, share in shares.items():
@@ -114,10 +124,7 @@ def said_of_colours(recordings: Mapping[str, Colours]) -> list[str]:
         if swapped < _LESS * now and now - swapped > _APART and swapped < _ALIKE:
             found.append(name)
     if not found:
-        return [
-            f"{_listed(recordings)}: more blue than red in nearly all images, as few places have it: see whether these"
-            " are swapped (BGR that is labelled RGB)"
-        ] * all(colours.are_bluish for colours in recordings.values())
+        return []
     names, some = (shares, " in some of these recordings") if 2 * len(found) >= len(shares) else (found, "")
     return [
         f"{_listed(names)}: red and blue are swapped{some}, beside the other recordings (BGR that is labelled RGB, or"

@@ -17,6 +17,7 @@ from sequences.writer import SequenceWriter
 from tests.helpers.corridors import recorded
 from tests.helpers.full import some
 from tests.helpers.inspected import BEGIN_NS, CAMERA, LEVEL, SECOND, panorama, scenery, write
+from vapor.commands.inspect import parts
 from vapor.inspection.inspect import inspect
 from vapor.inspection.odometry import OdometryCheck, check_odometry
 from vapor.inspection.verdict import verdict
@@ -151,9 +152,9 @@ def clocked(path: Path, *, seconds: float = 30.0, image: Callable[[Poses], np.nd
     some(
         2,
         [
+            ({"poses": 0.5, "images": 0.5}, -500.0, 500.0),
             ({}, 0.0, 0.0),
             ({"images": -1.5}, 0.0, -1500.0),
-            ({"poses": 0.5, "images": 0.5}, -500.0, 500.0),
             ({"images": 0.5}, 0.0, 500.0),
             ({"odometry": 0.5}, 500.0, -500.0),
             ({"poses": 0.5}, -500.0, 0.0),
@@ -167,6 +168,10 @@ def test_a_clock_that_is_off_is_found_and_named(late_s, odometry_ms, images_ms, 
     assert clock.late_ms == pytest.approx(images_ms, abs=10.0)
     assert found.odometry is not None
     assert found.odometry.typical_late_ms == pytest.approx(odometry_ms, abs=8.0)
+    lines = " ".join(map(str, dict(parts(found))["Odometry"]))
+    assert re.search(rf"odometry's stamps against the true poses: {SAID[np.sign(odometry_ms)]} \(w\.mcap\)", lines)
+    images = rf"images, by the motion that they show: {SAID[np.sign(images_ms)]} against the odometry \(w\.mcap\)"
+    assert re.search(images, lines)
     said = [sentence for sentence in found.verdict.points if " against the " in sentence]
     assert len(said) == (odometry_ms != 0) + (images_ms != 0)
     if odometry_ms:
@@ -176,6 +181,7 @@ def test_a_clock_that_is_off_is_found_and_named(late_s, odometry_ms, images_ms, 
 
 
 OFF = (r"\d+ ms early", r"\d+ ms late")
+SAID = {-1.0: r"\d{3,4} ms early", 0.0: r"(?:\d ms (?:early|late)|on time)", 1.0: r"\d{3,4} ms late"}
 
 
 @pytest.mark.usefixtures("unchecked", "no_odometry_fit")

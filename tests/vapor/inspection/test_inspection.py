@@ -67,6 +67,17 @@ def test_images_all_alike_and_frozen_ones_are_said(tmp_path):
     only(frozen, "20 images of f.mcap repeat the one before, such as 40 to 60")
 
 
+@pytest.mark.usefixtures("unchecked", "no_views")
+def test_recordings_most_images_of_which_show_nothing_are_not_good_enough_and_those_some_of_which_do_are(tmp_path):
+    for black, good_enough in ((100, False), (40, True)):
+        image = lambda i, black=black: scenery(i) // 100 if i < black else scenery(i)  # noqa: E731
+        path = write(tmp_path / f"{black}.mcap", walked(), image=image)
+        found = inspect([path])
+        sentence = only(found, "of the images of", "are nearly black")
+        assert (sentence in found.verdict.advice) == good_enough
+        assert found.verdict.answer.startswith("Good enough" if good_enough else "Not good enough")
+
+
 # --- recordings that lack something --------------------------------------------------------------------
 
 
@@ -200,7 +211,8 @@ def test_dim_images_poses_in_millimetres_and_swapped_colours_are_said(tmp_path):
     paths.append(write(tmp_path / "mm.mcap", far, image=changes["good"]))
     found = inspect(paths)
     only(found, "make light, or expose for longer: the images of dim.mcap are dark, ")
-    assert found.verdict.answer == "Not good enough to train on yet: put right the first point"  # millimetres
+    assert found.verdict.answer == "Not good enough to train on yet: put right the first 2 points"
+    assert [sentence.split()[0] for sentence in found.verdict.faults] == ["check", "swapped.mcap:"]  # the unit, colours
     only(found, "swapped.mcap: red and blue are swapped, beside the other recordings")
     only(found, "check the unit of the poses of mm.mcap: the camera moves at", "are they in millimetres?")
     assert not any("good.mcap" in sentence and "record" not in sentence for sentence in found.verdict.points)
