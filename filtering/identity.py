@@ -147,9 +147,8 @@ class KnownModes:
     def _heaviest(self, belief: Hypotheses, noise: MeasurementNoise, config: ModeConfig) -> Int64[np.ndarray, " k"]:
         """The heaviest hypothesis in the place of each, nearer to it than to another one; -1 where there is none."""
         metres_sq, turned = self.poses.squared_distances(belief.poses)
-        reach_m = config.radius * max(noise.typical_std[:3])
-        reach_rad = min(max(config.radius * max(noise.typical_std[3:]), config.least_rad), config.most_rad)
-        apart = np.maximum(metres_sq / reach_m**2, turned / reach_rad**2)
+        reach = config.reach(noise, belief.pose_covariance)
+        apart = np.maximum(metres_sq / reach[:, :3].max(axis=1) ** 2, turned / reach[:, 3:].max(axis=1) ** 2)
         own: Bool[np.ndarray, "k n"] = (apart <= 1.0) & (apart == apart.min(axis=0))
         heaviest = np.where(own, belief.log_weights, -np.inf).argmax(axis=1)
         return np.where(own.any(axis=1), heaviest, -1)
