@@ -270,20 +270,24 @@ def test_where_no_image_comes_the_belief_follows_odometry_in_little_memory(unche
 
 def test_images_and_odometry_from_two_threads_give_the_belief_of_one(expected, unchecked):
     stream = new_stream(model=Knowing())
-    found, ahead = [], threading.Semaphore(30)
+    # Either may be ahead by less than `wait_s`: longer no image waits.
+    found, odometry_ahead, images_ahead = [], threading.Semaphore(20), threading.Semaphore(4)
 
     def bring_odometry():
-        for time_ns, pose in ODOMETRY:
-            ahead.acquire()
+        for index, (time_ns, pose) in enumerate(ODOMETRY):
+            odometry_ahead.acquire()
             found.extend(stream.add_odometry(time_ns, pose, TWIST_COVARIANCE))
+            if index % 5 == 0:
+                images_ahead.release()
 
     thread = threading.Thread(target=bring_odometry)
     thread.start()
     for index in range(COUNT):
+        images_ahead.acquire()
         found.extend(stream.add_image(TIMES_NS[index], image_of(index)))
         for _ in range(5):
-            ahead.release()
-    ahead.release(100)
+            odometry_ahead.release()
+    odometry_ahead.release(len(ODOMETRY))
     thread.join()
     found.extend(stream.flush())
     assert sorted(each.time_ns for each in found) == TIMES_NS
