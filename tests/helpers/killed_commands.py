@@ -55,6 +55,12 @@ class Call:
     again: tuple[str, ...] = ()
     grows: bool = False
 
+    @property
+    def command(self) -> str:
+        """Program and command, as messages begin with them."""
+        program, *command = self.words if self.words[0] == "vapor-benchmark" else ("vapor-track", *self.words)
+        return f"{program} {command[0]}"
+
 
 CALLS = {
     "run": Call(("run", "other.mcap", "--model", "tiny.safetensors", "--output", "out/result", *SMALL)),

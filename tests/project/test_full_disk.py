@@ -72,7 +72,7 @@ def test_a_command_whose_disk_is_full_says_so_in_a_line_and_leaves_what_was_ther
             continue
         full += 1
         assert status == 1
-        assert last[0].startswith(f"vapor-track {name}: ")
+        assert last[0].startswith(f"{call.command}: ")
         assert "No space left on device" in last[0]
         assert len(last[0]) <= MAX_MESSAGE
         assert found.leftovers == []
