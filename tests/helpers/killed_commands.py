@@ -36,7 +36,7 @@ TINY = [
     *("--network.feature-dim", "16", "--epochs", "2", "--batch-size", "8"),
 ]
 
-TIMES = {"step_ms", "peak_rss_mb", "seconds"}
+TIMES = {"step_ms", "peak_rss_mb", "seconds", "data", "test"}  # the last two say when recordings were rendered
 
 NEVER_ALIKE = {".rrd", ".csv", ".md"}  # they contain times, or random numbers
 
