@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
 from filtering.config import GapConfig
+from filtering.estimate import ModeConfig
 from filtering.measurement_noise import PLACE, MeasurementNoise
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
@@ -24,7 +25,7 @@ _CANDIDATES = 12  # places of an image that the search goes on from
 _LEAST_WEIGHT = 1e-3  # of a hypothesis that the camera may have been carried off from
 _UNMATCHED = 1e-6  # weight, where the filter had no hypothesis
 _LEAST_POWER = 3e-4  # of a likelihood: whether a view is new is seen by odometry, which does not show a kidnap
-_REACH = 8.0  # standard deviations of an ordinary error of the most exact places, as of modes
+_MODES = ModeConfig()
 
 
 @dataclass(frozen=True)
@@ -199,6 +200,6 @@ def squared_distances(posterior: PosePosterior, poses: Poses) -> Float64[np.ndar
 
 def _reach(noise: MeasurementNoise) -> tuple[float, float]:
     """How far apart poses of one place may be, metres and radians."""
-    # Errors of a network's own places may be metres, where landmarks tell storeys apart.
-    std = noise.finest.typical_std
-    return _REACH * max(std[:3]), min(max(_REACH * max(std[3:]), 0.2), 0.6)
+    # As of modes. Errors of a network's own places may be metres, where landmarks tell storeys apart.
+    reach = _MODES.reach(noise.finest, np.zeros((6, 6)))
+    return float(reach[:3].max()), float(reach[3:].max())

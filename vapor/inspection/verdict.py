@@ -74,13 +74,13 @@ def verdict(
         # Images show already which of poses and odometry is turned or left-handed, where one of both agrees with them.
         sides = [{check.is_right for check in walk.checks if check.orientations} for walk in walks]
         faults += _odometry(odometry, is_named=any(len(of_walk) == 2 for of_walk in sides))
-    faults += said_of_swapped_colours(colours)
+    swapped = said_of_swapped_colours(colours)
+    faults += swapped
     advice = [] if coverage is None else [*_coverage(coverage)]
     for share, sentence in (each for walk in walks for each in _images(walk)):
         (faults if share > _MOST else advice).append(sentence)
     advice += [*_cameras(cameras), *_scale(odometry), *_without(walks)]
-    if not faults:
-        advice += said_of_bluish_colours(colours)
+    advice += [] if swapped else said_of_bluish_colours(colours)
     if coverage is not None and predictions is not None:
         advice += _model(coverage, predictions)
     return Verdict(tuple(faults), tuple(advice))
