@@ -71,11 +71,13 @@ def in_parallel(
 
 def _batch(function: Callable[..., Result], jobs: Mapping[int, tuple], processes: int) -> Iterator[tuple[int, Result]]:
     from joblib import Parallel, delayed, parallel_config
+    from joblib.externals.loky.backend import resource_tracker as loky_tracker
 
     # Processes start with the signals blocked that are blocked here. A terminal sends its signals to all of them, but
     # this process answers and ends the others, each of which would die with a traceback.
     warnings.filterwarnings("ignore", r"\d+ tasks (which|have) ", UserWarning)  # left when it is interrupted
-    resource_tracker.ensure_running()  # it unblocks SIGINT when it starts
+    for tracker in (resource_tracker, loky_tracker):  # each unblocks SIGINT when it starts
+        tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
     try:
         try:
