@@ -132,12 +132,12 @@ def test_the_tolerances_are_ten_times_what_rounded_convolutions_make_of_samples(
     assert all(each.most is not None and 0.0 < each.value < 0.1 * each.most for each in rounded)
 
 
-def test_deviations_are_of_99_percent_of_the_samples_and_small_rotations_are_seen():
+def test_deviations_are_of_95_percent_of_the_samples_and_small_rotations_are_seen():
     rng = np.random.default_rng(0)
     samples = Poses.exp(rng.standard_normal((1000, 6)))
     moved = samples @ Poses.exp(np.array([0, 0, 0.003, 0, np.radians(0.004), 0]))
     far = moved.translation.copy()
-    far[:5] += 1.0
+    far[:30] += 1.0
 
     def float32(poses, translation):
         return translation.astype(np.float32), poses.rotation.astype(np.float32)
