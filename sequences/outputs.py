@@ -145,6 +145,15 @@ def folder_to_write(directory: Path) -> Path:
     return folder
 
 
+class Resolved(frozenset[Path]):
+    """The places of files and folders that a command reads, links followed once for all of its outputs."""
+
+    @classmethod
+    def of(cls, paths: Iterable[Path]) -> Resolved:
+        """The places of paths."""
+        return paths if isinstance(paths, Resolved) else cls(path.resolve() for path in paths)
+
+
 def unexpected_files(directory: Path, reads: Iterable[Path]) -> dict[str, str]:
     """Other files of a folder than the results that its manifest lists: descriptions by name.
 
@@ -154,7 +163,7 @@ def unexpected_files(directory: Path, reads: Iterable[Path]) -> dict[str, str]:
         return {}
     manifest = own_manifest(directory)
     listed = {} if manifest is None else manifest["files"] or {}
-    read = {path.resolve() for path in reads}
+    read = Resolved.of(reads)
     unexpected: dict[str, str] = {}
     for entry in sorted(directory.iterdir()):
         name, ours = entry.name, listed.get(entry.name)
@@ -193,7 +202,7 @@ def results_folder(
         SequenceError: the folder holds something else, is none, is or holds what is read, or cannot be written to.
             All but failing disks are found before anything is written.
     """
-    reads = list(reads) if directory.exists() else []
+    reads = Resolved.of(reads if directory.exists() else ())
     given, directory = directory, require_replaceable(directory, writes, reads, overwrite=overwrite)
     with ExitStack() as stack:
         with writing(given):
@@ -224,7 +233,7 @@ def require_replaceable(
     """Raise where `results_folder` would, but for failing disks; returns the folder that is meant."""
     with writing(directory):
         given, directory = directory, folder_to_write(directory)
-        reads = list(reads) if directory.exists() else []
+        reads = Resolved.of(reads if directory.exists() else ())
         unexpected = unexpected_files(directory, reads)
         if unexpected and not overwrite:
             raise SequenceError(
@@ -235,16 +244,15 @@ def require_replaceable(
         return directory
 
 
-def _refuse_lost(directory: Path, unexpected: Collection[str], reads: Iterable[Path], writes: Collection[str]) -> None:
+def _refuse_lost(directory: Path, unexpected: Collection[str], reads: Resolved, writes: Collection[str]) -> None:
     """Raise where replacing files by name would lose a file that is read, or a folder."""
     names, place = sorted({*writes, MANIFEST}), directory.resolve()
-    for path in reads:
-        path = path.resolve()
-        lost = [place / name for name in names if name in unexpected] if place.is_relative_to(path) else []
-        if path == place or (path.parent == place and path.name in names):
-            lost = [path]
-        if lost:
-            raise SequenceError(f"{lost[0]}: is read, and would be written to; expected another folder for the results")
+    files = [place / name for name in names]
+    lost = [path for path in (place, *files) if path in reads]
+    if not reads.isdisjoint(place.parents):
+        lost += [file for file in files if file.name in unexpected]
+    if lost:
+        raise SequenceError(f"{lost[0]}: is read, and would be written to; expected another folder for the results")
     for name in names:
         if name in unexpected and (directory / name).is_dir():
             raise SequenceError(
@@ -252,11 +260,10 @@ def _refuse_lost(directory: Path, unexpected: Collection[str], reads: Iterable[P
             )
 
 
-def _replace_files(work: Path, names: Collection[str], reads: Iterable[Path]) -> None:
+def _replace_files(work: Path, names: Collection[str], reads: Resolved) -> None:
     directory = work.parent
     manifest = own_manifest(directory)
     before = {} if manifest is None else manifest["files"] or {}
-    read = {path.resolve() for path in reads}
     new = sorted(file.name for file in (work / NEW).iterdir() if file.name != MANIFEST)
     for name in new:
         file = directory / name
@@ -268,7 +275,7 @@ def _replace_files(work: Path, names: Collection[str], reads: Iterable[Path]) ->
         if name not in new
         and (directory / name).exists()
         and listed.is_of(directory / name)
-        and (directory / name).resolve() not in read
+        and (directory / name).resolve() not in reads
     ]
     first = [MANIFEST] if (directory / MANIFEST).exists() else []
     move_in(work, [*new, MANIFEST], instead_of=[*first, *gone])
@@ -344,7 +351,7 @@ def refuse_other(
     """
     path = followed(path)
     place = path.resolve()
-    for read in (read.resolve() for read in (reads if path.exists() else ())):
+    for read in Resolved.of(reads if path.exists() else ()):
         if place == read:
             raise SequenceError(f"{path}: is read, and would be written to; expected another file")
         if place.is_relative_to(read) and not (path.is_file() and is_of_kind(path)):

@@ -20,7 +20,7 @@ from sequences.datasets.layout_helpers.packed import VIDEO_SUFFIXES
 from sequences.errors import SequenceError
 from sequences.files import read_json
 from sequences.options import SequenceOptions
-from sequences.outputs import folder_to_write, own_manifest, refuse_other, require_replaceable, verify
+from sequences.outputs import Resolved, folder_to_write, own_manifest, refuse_other, require_replaceable, verify
 from sequences.recordings.recording_file import SUFFIXES
 from vapor.parallel import in_parallel
 from vapor.pipeline.config import RunConfig
@@ -135,7 +135,7 @@ def run_batch(
     config = config or RunConfig()
     folder_to_write(output)
     loaded = load_model(model, config)
-    reads = list({path: None for sequence in sequences.values() for path in files_read(sequence, loaded, reading)})
+    reads = Resolved.of({path for sequence in sequences.values() for path in files_read(sequence, loaded, reading)})
     for name in sequences:
         require_replaceable(output / name, RESULTS, reads, overwrite=overwrite)
     is_summary = partial(is_report, keys=("sequences_in_all",))

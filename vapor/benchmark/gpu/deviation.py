@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from vapor.benchmark.gpu.stages import Finding
 
-_MOST_SAMPLES = 95.0  # percentile: one to three per cent lie between two places, where rounding moves them by centimetres
+_MOST_SAMPLES = 95.0  # percentile: one to three per cent lie between places, where rounding moves them far
 
 
 @dataclass(frozen=True)
