@@ -350,12 +350,12 @@ def refuse_other(
     nothing.
     """
     path = followed(path)
-    place = path.resolve()
-    for read in Resolved.of(reads if path.exists() else ()):
-        if place == read:
-            raise SequenceError(f"{path}: is read, and would be written to; expected another file")
-        if place.is_relative_to(read) and not (path.is_file() and is_of_kind(path)):
-            raise SequenceError(f"{path}: lies in {read}, which is read, and is no {kind}; expected another file")
+    place, reads = path.resolve(), Resolved.of(reads if path.exists() else ())
+    if place in reads:
+        raise SequenceError(f"{path}: is read, and would be written to; expected another file")
+    around = next((folder for folder in place.parents if folder in reads), None)
+    if around is not None and not (path.is_file() and is_of_kind(path)):
+        raise SequenceError(f"{path}: lies in {around}, which is read, and is no {kind}; expected another file")
     if overwrite or not path.is_file():
         return
     if not is_of_kind(path):

@@ -28,7 +28,7 @@ def sample_deviation(
     other: tuple[Float[np.ndarray, "*n 3"], Float[np.ndarray, "*n 3 3"]],
     tolerance: Tolerance | None = None,
 ) -> Iterator[Finding]:
-    """The deviations that 95 % of the samples have at most: positions and rotation matrices of the same noise."""
+    """The deviations that nearly all samples have at most: positions and rotation matrices of the same noise."""
     apart = [a.astype(np.float64) - b.astype(np.float64) for a, b in zip(one, other, strict=True)]
     metres = np.linalg.norm(apart[0], axis=-1)
     # Not by the trace: of float32 matrices that is blind to less than 0.02°.
@@ -36,5 +36,5 @@ def sample_deviation(
     degrees = np.degrees(2.0 * np.arcsin(np.minimum(chord, 1.0)))
     for part, values, unit in (("position", 1e3 * metres, "mm"), ("rotation", degrees, "°")):
         most = None if tolerance is None else 1e3 * tolerance.metres if unit == "mm" else tolerance.degrees
-        note = f"95 % of the samples; greatest {values.max():.3g} {unit}"
+        note = f"{_MOST_SAMPLES:.0f} % of the samples; greatest {values.max():.3g} {unit}"
         yield Finding(f"{what}: {part}", float(np.percentile(values, _MOST_SAMPLES)), unit, most=most, note=note)
