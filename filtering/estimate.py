@@ -194,8 +194,8 @@ class Estimate:
         log_likelihood: Log marginal likelihood of the step's images, at most 0, summed over them; 0 without any. It is
             that of which place they show, relative to images that fit all of the belief:
             log(u + (1 − u) Σ w (ε + (1 − ε) p)^λ) over the hypotheses, with weight w, probability ε that an outlier
-            shows the place by chance, and p in [0, 1] for how possible each is; u is unassigned, and fits. Correlated images count once: λ is the novelty. Where in the place it is, is not part
-            of it, see `Mode.innovation`.
+            shows the place by chance, and p in [0, 1] for how possible each is; u is unassigned, and fits. Correlated
+            images count once: λ is the novelty. Where in the place it is, is not part of it, see `Mode.innovation`.
         agreement: Share of the belief that the latest images fitted, in [0, 1].
         novelty: Fraction of the image's information that earlier images lack, in [0, 1].
         normalized_distance: That the camera moved since the image before, in lengths over which the errors of its
