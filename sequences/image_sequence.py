@@ -1,4 +1,4 @@
-"""A video file or a folder of images -> frames: images alone, without odometry and true poses."""
+"""A video file, a folder of images or a data set -> frames without odometry."""
 
 from __future__ import annotations
 
@@ -7,19 +7,22 @@ from collections.abc import Callable, Iterator
 from dataclasses import fields
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import UInt8
 
 from filtering.errors import VaporTrackError
+from filtering.se3 import Poses
+from sequences.datasets.layout import PosedImages
 from sequences.datasets.layout_helpers.image_files import decoded_file, find_camera, images_in, size_of_first
 from sequences.datasets.layout_helpers.packed import VIDEO_SUFFIXES, VideoFile
+from sequences.datasets.listing import found_images, is_data_set, is_recording
 from sequences.errors import SequenceError
 from sequences.files import Rows
 from sequences.frame import ASSUMED_HZ, Camera, Frame
 from sequences.images.headers import why_skipped
-from sequences.images.undistortion import Lens, pinhole_of, same_aspect, undistorted
+from sequences.images.undistortion import Lens, as_used, pinhole_of, same_aspect, undistorted
 from sequences.options import OdometryOrigin, SequenceOptions
 from sequences.reading.counts import NOT_INCREASING, OUTSIDE, ImageCounts
 from sequences.reading.frame_pairing import RequestedSegment
@@ -31,24 +34,39 @@ _USED = frozenset({"undistort", "start_s", "duration_s", "allow_few_images"})  #
 _READABLE = 0.95  # of the frames that a video states: some formats state a few too many
 _RATES_HZ = 1e-3, 1e6
 _Image = UInt8[np.ndarray, "height width 3"]
-_Dated = tuple[int, Callable[[], _Image | str]]
+
+
+class _Dated(NamedTuple):
+    """An image that can be read: `decode` gives it, or the reason why it cannot be used."""
+
+    time_ns: int
+    decode: Callable[[], _Image | str]
+    lens: Camera | Lens | None
+    pose: Poses | None = None
+
 
 
 def is_image_sequence(path: Path) -> bool:
-    """Whether a path is a video file by its name, or a folder with images and without a recording in it."""
+    """Whether a path is a video file by its name, a data set, or a folder with images and without a recording in it.
+
+    Raises SequenceError where a file of a data set is missing or damaged.
+    """
     if not path.is_dir():
-        return path.suffix.lower() in VIDEO_SUFFIXES
+        return path.suffix.lower() in VIDEO_SUFFIXES or (path.is_file() and not is_recording(path))
     recorded = (path / "metadata.yaml").is_file() or any(file.suffix.lower() in SUFFIXES for file in path.iterdir())
-    return not recorded and bool(images_in(path))
+    return not recorded and (bool(images_in(path)) or is_data_set(path))
 
 
 class ImageSequence:
-    """Frames of a video file or of a folder of images, read as a stream; every iteration reads them again.
+    """Frames of a video file, a folder of images or a data set, read as a stream; every iteration reads them again.
 
     Frames of a video have its time stamps, and are as a player shows them, turned by its metadata. Images of a folder
     are as they are stored, in the order of the stamps that all their names state (`1305031102.175304.png`), or else of
     their names, so many a second. Intrinsics are those of an `intrinsics.json` in the folder of the video or of the
     images, or in the one above; they are of images of any size, but of the same aspect ratio.
+
+    Images of a data set have the true poses, stamps and intrinsics that its files state, as for `posed_frames`; images
+    without a true pose are left out.
 
     Attributes:
         path: The file or folder.
@@ -79,31 +97,35 @@ class ImageSequence:
         """Open a video or a folder.
 
         Args:
-            path: Video file, or folder with PNG or JPEG images.
+            path: Video file, folder with PNG or JPEG images, or a data set of one sequence, as `list_images` takes it.
             options: What to read. Those of topics, odometry and true poses do not apply.
-            rate_hz: How many images there are in a second, in a folder of images whose names state no stamps.
+            rate_hz: How many images there are in a second, in a folder of images or a data set that states no stamps.
 
         Raises:
-            SequenceError: no such video or images, a damaged `intrinsics.json`, one of another aspect ratio, or options
-                that do not apply.
+            SequenceError: no such video or images, a damaged data set or one of several sequences, a damaged
+                `intrinsics.json`, one of another aspect ratio, or options that do not apply.
         """
         self.path, self._options, self._rate_hz = Path(path), options or SequenceOptions(), rate_hz
         _require_applicable(self.path, self._options)
         if not _RATES_HZ[0] <= rate_hz <= _RATES_HZ[1]:
             raise VaporTrackError(f"rate_hz is {rate_hz}, expected between {_RATES_HZ[0]:g} and {_RATES_HZ[1]:g}")
-        self._files = images_in(self.path)
+        self._posed = _data_set(self.path)
+        self._files = images_in(self.path) if self._posed is None else []
         self._dates = _stamps(self._files)
         self.has_stamps = not self._files or self._dates is not None
-        if self.path.is_dir():
+        if self._posed is not None:
+            lens = next((lens for lens in self._posed.cameras if lens is not None), None)
+            self.has_stamps, self.num_images = self._posed.assumed_hz is None, len(self._posed)
+        elif self.path.is_dir():
             if not self._files:
                 raise SequenceError(f"{path}: no images, expected PNG or JPEG files in the folder")
-            size, folder = size_of_first(self._files), self.path
+            lens = self._find_lens(self.path, size_of_first(self._files))
             self.num_images = len(self._files)
         else:
             video = VideoFile(self.path, upright=True)
-            size, folder = (video.width, video.height), self.path.parent
+            lens = self._find_lens(self.path.parent, (video.width, video.height))
             self.num_images = video.num_frames or 0
-        self._lens = self._find_lens(folder, size)
+        self._lens = as_used(lens, undistort=self._options.undistort)
         self.camera: Camera | None = None if self._lens is None else pinhole_of(self._lens)
         self.counts = ImageCounts(self.num_images)
         self.notices: list[str] = []
@@ -118,13 +140,12 @@ class ImageSequence:
                 f"{self.path}: intrinsics.json is of {stated.width} x {stated.height} pixels, the images are of"
                 f" {size[0]} x {size[1]}; expected the same aspect ratio (a video's frames are as a player shows them)"
             )
-        lens = lens.scaled(*size)
-        return lens.camera if isinstance(lens, Lens) and not self._options.undistort else lens
+        return lens.scaled(*size)
 
     @property
     def skipped(self) -> Counter[str]:
-        """How many images of the latest iteration were left out, by reason."""
-        return self.counts.skipped
+        """How many images of the latest iteration were left out, and poses of a data set, by reason."""
+        return self.counts.skipped + (self._posed.skipped if self._posed is not None else Counter())
 
     @property
     def resolved(self) -> dict[str, Any]:
@@ -144,7 +165,7 @@ class ImageSequence:
         segment: RequestedSegment | None = None
         latest_ns: int | None = None
         num_unlike = 0
-        for time_ns, decode in self._dated():
+        for time_ns, decode, lens, pose in self._dated():
             counts.read += 1
             counts.stated += 1
             segment = segment or RequestedSegment(time_ns, options.start_s, options.duration_s)
@@ -164,9 +185,9 @@ class ImageSequence:
                 counts.skipped[image] += 1
                 continue
             counts.used += 1
-            image, camera = self._undistorted(image)
+            image, camera = self._undistorted(image, lens)
             num_unlike += camera is None and self.camera is not None
-            yield Frame(time_ns, image, None, None, camera)
+            yield Frame(time_ns, image, None, pose, camera)
         counts.skipped[OUTSIDE] += (unread := max(self.num_images - counts.stated, 0) if _stopped(segment) else 0)
         counts.stated += unread
         counts.skipped = +counts.skipped
@@ -192,19 +213,34 @@ class ImageSequence:
                 " off"
             )
 
-    def _undistorted(self, image: _Image) -> tuple[_Image, Camera | None]:
+    def _undistorted(self, image: _Image, lens: Camera | Lens | None) -> tuple[_Image, Camera | None]:
         try:
-            return undistorted(image, self._lens)
+            return undistorted(image, lens)
         except SequenceError as error:
             raise SequenceError(f"{self.path}: {error}") from error
 
     def _dated(self) -> Iterator[_Dated]:
-        """Each image with its stamp: gives it, or the reason why it cannot be used."""
+        """Each image with its stamp, intrinsics and true pose."""
         rows = Rows("images", why_skipped)
-        for time_ns, decode in self._listed() if self._files else VideoFile(self.path, upright=True).frames():
-            yield time_ns, partial(_decoded, rows, decode)
+        if self._posed is not None:
+            yield from self._of_data_set(self._posed, rows)
+        else:
+            for time_ns, decode in self._listed() if self._files else VideoFile(self.path, upright=True).frames():
+                yield _Dated(time_ns, partial(_decoded, rows, decode), self._lens)
         rows.require_few()
         self.notices += rows.notices
+
+    def _of_data_set(self, posed: PosedImages, rows: Rows) -> Iterator[_Dated]:
+        """The images of a data set, likewise."""
+        self.notices += posed.notices
+        slower = 1.0
+        if posed.assumed_hz is not None:
+            slower = posed.assumed_hz / self._rate_hz
+            self.notices.append(f"no time stamps: {self._rate_hz:g} images a second are assumed (--rate-hz)")
+        for i, file in enumerate(posed.files):
+            time_ns = int(posed.times_ns[i]) if slower == 1.0 else round(slower * int(posed.times_ns[i]))
+            lens = as_used(posed.cameras[i], undistort=self._options.undistort)
+            yield _Dated(time_ns, partial(_decoded, rows, partial(decoded_file, file)), lens, posed.world_from_camera[i])
 
     def _listed(self) -> Iterator[tuple[int, Callable[[], _Image]]]:
         """The images of a folder, likewise."""
@@ -218,6 +254,19 @@ class ImageSequence:
             dates = [(round(1e9 * number / self._rate_hz), file) for number, file in enumerate(ordered)]
         for time_ns, file in dates:
             yield time_ns, partial(decoded_file, file)
+
+
+def _data_set(path: Path) -> PosedImages | None:
+    """The images of a data set of one sequence; None of videos, and of images without true poses."""
+    if path.suffix.lower() in VIDEO_SUFFIXES and path.is_file():
+        return None
+    posed = found_images(path)
+    if posed is None or not len(posed):
+        return None
+    if posed.has_several:
+        count = len(np.unique(np.asarray(posed.sequence)))
+        raise SequenceError(f"{path}: {count} sequences, expected one at a time, such as the folder of one of them")
+    return posed
 
 
 def _decoded(rows: Rows, decode: Callable[[], _Image]) -> _Image | str:

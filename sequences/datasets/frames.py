@@ -16,7 +16,7 @@ from sequences.errors import NoImageError, SequenceError
 from sequences.files import Rows
 from sequences.frame import Camera, Frame
 from sequences.images.headers import why_skipped
-from sequences.images.undistortion import Lens, pinhole_of, undistorted
+from sequences.images.undistortion import as_used, pinhole_of, undistorted
 from sequences.options import OdometryUse, SequenceOptions
 from sequences.reader import SequenceReader
 
@@ -120,7 +120,7 @@ class PosedFrames(Iterator[Frame]):
                 self.skipped[image] += 1
                 continue
             try:
-                image, camera = undistorted(image, _used(images.cameras[i], undistort))
+                image, camera = undistorted(image, as_used(images.cameras[i], undistort=undistort))
             except SequenceError as error:
                 raise SequenceError(f"{file}: {error}") from error
             sequence = 0 if images.sequence is None else int(images.sequence[i])
@@ -153,7 +153,7 @@ class PosedFrames(Iterator[Frame]):
         if isinstance(source, SequenceReader):
             return source.cameras()
         undistort = self._options is None or self._options.undistort
-        known = [_used(camera, undistort) for camera in source[self._slice].cameras]
+        known = [as_used(camera, undistort=undistort) for camera in source[self._slice].cameras]
         return Counter(pinhole_of(camera) for camera in known if camera is not None)
 
     def seen_points(self) -> dict[int, SeenPoints]:
@@ -212,8 +212,3 @@ def _posed(frames: Iterable[Frame], skipped: Counter[str]) -> Iterator[Frame]:
         else:
             skipped["no true pose"] += 1
         follows = frame.world_from_camera is not None
-
-
-def _used(camera: Camera | Lens | None, undistort: bool) -> Camera | Lens | None:
-    """The camera, without its distortion where that is to be left alone."""
-    return camera.camera if isinstance(camera, Lens) and not undistort else camera

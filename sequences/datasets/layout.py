@@ -107,6 +107,11 @@ class PosedImages:
     def __getitem__(self, index: slice) -> PosedImages:
         return self.select(np.arange(len(self))[index])
 
+    @property
+    def has_several(self) -> bool:
+        """Whether the images are of several sequences."""
+        return self.sequence is not None and len(np.unique(self.sequence)) > 1
+
     def with_camera(self, camera: Camera | Lens | None) -> PosedImages:
         """The same images, all of one camera."""
         return replace(self, cameras=[camera] * len(self))

@@ -38,7 +38,7 @@ def list_images(path: Path) -> PosedImages:
         SequenceError: the layout is unknown, a file is missing or damaged, or no image has a true pose.
     """
     path = Path(path)
-    images = _listed(path)
+    images = found_images(path)
     if images is None:
         raise SequenceError(f"{path}: {_what_is_there(path)}")
     if not len(images):
@@ -60,10 +60,11 @@ def none_among(frames: slice, count: int | None) -> str:
 
 def is_data_set(path: Path) -> bool:
     """Whether a folder is of a known layout. Raises SequenceError where a file of it is missing or damaged."""
-    return _listed(path) is not None
+    return found_images(path) is not None
 
 
-def _listed(path: Path) -> PosedImages | None:
+def found_images(path: Path) -> PosedImages | None:
+    """As `list_images`, of which no image may have a true pose; None where a path is of no known layout."""
     return next((images for layout in find_layouts() if (images := layout.list_images(path)) is not None), None)
 
 

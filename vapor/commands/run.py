@@ -38,8 +38,8 @@ class Options:
     """Localize the camera of recorded sequences; write trajectories, report and recordings of each."""
 
     sequences: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="SEQUENCE ...")]
-    """MCAP files, rosbag2 folders or ROS 1 bags with images and odometry; or images alone: video files, or folders of
-    images. Any other folder stands for all recordings and videos in it."""
+    """MCAP files, rosbag2 folders or ROS 1 bags with images and odometry; or images alone: video files, folders of
+    images, or data set folders, whose true poses are compared with. Any other folder stands for all of these in it."""
     model: str
     """Model file, or name of a model that ships with the package: staircase, ceiling."""
     output: OutputPath

@@ -17,8 +17,10 @@ from typing import Any
 from filtering.errors import VaporTrackError
 from sequences.atomic import atomic_output, workspace
 from sequences.datasets.layout_helpers.packed import VIDEO_SUFFIXES
+from sequences.datasets.listing import found_images
 from sequences.errors import SequenceError
 from sequences.files import read_json
+from sequences.image_sequence import is_image_sequence
 from sequences.options import SequenceOptions
 from sequences.outputs import Resolved, folder_to_write, own_manifest, refuse_other, require_replaceable, verify
 from sequences.recordings.recording_file import SUFFIXES
@@ -48,9 +50,9 @@ def is_batch(paths: Sequence[Path]) -> bool:
 def find_sequences(paths: Sequence[Path], output: Path) -> dict[str, Path]:
     """Sequences by the names of their results, in order.
 
-    A file or a rosbag2 folder is a sequence. Any other folder stands for all recordings and videos below it but for
-    results of earlier runs; where there are none, for itself: its images, or an error when it is opened. A sequence
-    found twice is listed once. A name is that of the file or folder, preceded by folders above it where others have it
+    A file, a rosbag2 folder or the folder of a data set is a sequence. Any other folder, and a data set of several
+    sequences, stands for all recordings, videos and data sets below it but for results of earlier runs; where there are
+    none, for itself: its images, or an error when it is opened. A sequence found twice is listed once. A name is that of the file or folder, preceded by folders above it where others have it
     too.
     """
     found: dict[Path, Path] = {}
@@ -62,6 +64,8 @@ def find_sequences(paths: Sequence[Path], output: Path) -> dict[str, Path]:
 
 def _found_in(path: Path, leave_out: Path | None = None) -> list[Path]:
     if not path.is_dir() or (path / "metadata.yaml").is_file():
+        return [path]
+    if _is_data_set(path):
         return [path]
     sequences: list[Path] = []
     for entry in sorted(path.iterdir()):
@@ -75,6 +79,17 @@ def _found_in(path: Path, leave_out: Path | None = None) -> list[Path]:
             is_result = entry.name == "estimate.mcap" and entry.with_name("report.json").is_file()
             sequences += [] if is_result else [entry]
     return sequences
+
+
+def _is_data_set(folder: Path) -> bool:
+    """Whether a folder is one sequence of a data set, or a damaged one, which its reader reports."""
+    try:
+        if not is_image_sequence(folder):
+            return False
+        posed = found_images(folder)
+    except SequenceError:
+        return True
+    return posed is not None and not posed.has_several
 
 
 def unique_names(sequences: Sequence[Path]) -> list[str]:

@@ -34,6 +34,7 @@ from vapor.pipeline.localize import localize
 from vapor.pipeline.model import LoadedModel, load_model
 from vapor.pipeline.odometry import USES, camera_of_motion, makes_odometry, require_one_source, usual_depth_m
 from vapor.pipeline.results import RESULTS, RunResult, write_results
+from vapor.pipeline.trained_images import said_of_trained_images
 from vapor.pipeline.unrecognised import MOST_IMAGES, SeenImage, are_unrecognised, why_unrecognised
 from vapor.pipeline.verticals import Verticals
 from vapor.reporting.outline import Outline
@@ -65,7 +66,8 @@ def run(
     """Localize a recorded sequence and write everything about it into a directory.
 
     Args:
-        sequence: MCAP file, rosbag2 folder or ROS 1 bag; or images alone: a video file, or a folder of images.
+        sequence: MCAP file, rosbag2 folder or ROS 1 bag; or images without odometry: a video file, a folder of images,
+            or the folder of a data set, whose true poses are compared with.
         model: Model file, name of a model that ships with the package, or a model that `load_model` loaded with these
             settings.
         output: Directory for the results, which appear when the run is complete, or not at all. It is absent, empty, or
@@ -157,10 +159,12 @@ def run_into(
 
     some: EvenlySpaced[SeenImage] = EvenlySpaced(MOST_IMAGES)
     verified = VerifiedImages(observation)
+    truth: list[Poses | None] = []
 
     def seen(frame: Frame) -> np.ndarray:
         observation.camera = frame.camera  # which may zoom
         some.add(lambda: (frame.image, frame.camera))
+        truth.append(frame.world_from_camera)
         return frame.image
 
     with limited_threads(config.threads):
@@ -201,9 +205,11 @@ def run_into(
         notices = [*_about_odometry(frames, config), *frames.notices, *observation.notices, *verticals.notices]
         if are_unrecognised(record.status) and observation.description.ood_model is not None:
             notices.insert(0, why_unrecognised(some.items, observation.ood_score, observation.is_verified))
-        if (trained := observation.description.memory_poses) is not None and is_placed(status_parts(record.status)):
-            found = None if record.inliers is None else record.inliers > 0
-            notices += filter(None, [describe_unshown(record.methods["smoothed"].poses, trained, verified=found)])
+        if (trained := observation.description.memory_poses) is not None:
+            notices[:0] = filter(None, [said_of_trained_images(truth, trained)])
+            if is_placed(status_parts(record.status)):
+                found = None if record.inliers is None else record.inliers > 0
+                notices += filter(None, [describe_unshown(record.methods["smoothed"].poses, trained, verified=found)])
         result = write_results(record, directory, settings, title=sequence.name, notices=notices, command=command)
         return replace(result, engine=f"{engine['engine']} on {engine['device']}, {config.precision}")
 
