@@ -233,14 +233,14 @@ class ImageSequence:
     def _of_data_set(self, posed: PosedImages, rows: Rows) -> Iterator[_Dated]:
         """The images of a data set, likewise."""
         self.notices += posed.notices
-        slower = 1.0
+        times_ns = posed.times_ns.tolist()
         if posed.assumed_hz is not None:
-            slower = posed.assumed_hz / self._rate_hz
+            times_ns = [int(round(1e-9 * at * posed.assumed_hz) * 1e9 // self._rate_hz) for at in times_ns]
             self.notices.append(f"no time stamps: {self._rate_hz:g} images a second are assumed (--rate-hz)")
         for i, file in enumerate(posed.files):
-            time_ns = int(posed.times_ns[i]) if slower == 1.0 else round(slower * int(posed.times_ns[i]))
             lens = as_used(posed.cameras[i], undistort=self._options.undistort)
-            yield _Dated(time_ns, partial(_decoded, rows, partial(decoded_file, file)), lens, posed.world_from_camera[i])
+            decode = partial(_decoded, rows, partial(decoded_file, file))
+            yield _Dated(times_ns[i], decode, lens, posed.world_from_camera[i])
 
     def _listed(self) -> Iterator[tuple[int, Callable[[], _Image]]]:
         """The images of a folder, likewise."""

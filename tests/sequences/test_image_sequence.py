@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 
 from filtering.errors import VaporTrackError
+from sequences.datasets.frames import posed_frames
 from sequences.errors import SequenceError
 from sequences.frame import Camera
 from sequences.image_sequence import ImageSequence, is_image_sequence
 from sequences.options import SequenceOptions
+from tests.helpers.data_sets import STEP_NS, make_7scenes, make_tum, same
 from tests.helpers.video_clips import held_upright, write_clip
 from tests.helpers.video_files import pictures
 from vapor.pipeline.config import RunConfig
@@ -210,3 +212,55 @@ def test_recordings_are_no_image_sequences(clip, tmp_path):
     assert not is_image_sequence(folder)
     (folder / "WALK.MCAP").rename(folder / "metadata.yaml")
     assert not is_image_sequence(folder)
+
+
+# --- data sets -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("make", [make_tum, make_7scenes])
+def test_frames_of_a_data_set_are_those_that_are_trained_on(make, tmp_path):
+    data = make(tmp_path / "data")
+    assert is_image_sequence(data)
+    sequence, expected = ImageSequence(data), list(posed_frames(data))
+    frames = list(sequence)
+    assert len(frames) == sequence.num_images == 10
+    assert [frame.time_ns for frame in frames] == [frame.time_ns for frame in expected]
+    for frame, other in zip(frames, expected, strict=True):
+        np.testing.assert_array_equal(frame.image, other.image)
+        assert same(frame.world_from_camera, other.world_from_camera, 1e-12)
+        assert frame.camera == other.camera
+    assert sequence.camera == expected[0].camera
+    assert sequence.counts.are_complete
+
+
+def test_a_sequence_of_a_data_set_has_its_poses_where_its_images_lie_beside_them(tmp_path):
+    folder = make_7scenes(tmp_path / "scene", num_images=5) / "seq-01"
+    for name in ("frame-000001.depth.png", "frame-000003.depth.png"):  # as the data set has them
+        cv2.imwrite(str(folder / name), np.zeros((24, 32), np.uint16))
+    (folder / "frame-000002.pose.txt").unlink()
+    sequence = ImageSequence(folder)
+    frames = list(sequence)
+    assert [frame.time_ns for frame in frames] == [i * 1_000_000_000 // 30 for i in (0, 1, 3, 4)]
+    assert all(frame.world_from_camera is not None for frame in frames)
+    assert sequence.skipped == {"no true pose": 1}
+
+
+def test_a_part_of_a_data_set_has_its_poses_and_the_rate_is_as_asked_for(tmp_path):
+    data = make_7scenes(tmp_path / "scene")
+    sequence = ImageSequence(data, SequenceOptions(start_s=0.4, duration_s=0.6), rate_hz=10.0)
+    frames, expected = list(sequence), list(posed_frames(data))[4:]
+    assert [frame.time_ns for frame in frames] == pytest.approx([i * 1e8 for i in range(4, 10)])
+    assert all(same(f.world_from_camera, e.world_from_camera, 1e-12) for f, e in zip(frames, expected, strict=True))
+    assert not sequence.has_stamps
+    assert any("10 images a second are assumed" in notice for notice in sequence.notices)
+    stamped = ImageSequence(make_tum(tmp_path / "desk"), rate_hz=10.0)
+    assert stamped.has_stamps
+    assert np.diff([frame.time_ns for frame in stamped]).tolist() == pytest.approx([STEP_NS] * 9, abs=1000)
+
+
+def test_several_sequences_of_a_data_set_are_not_one(tmp_path):
+    scene = make_7scenes(tmp_path / "scene", num_images=2, sequences=("seq-01", "seq-02"))
+    with pytest.raises(SequenceError, match="scene: 2 sequences, expected one at a time"):
+        ImageSequence(scene)
+    (scene / "TestSplit.txt").write_text("sequence2\n")
+    assert len(list(ImageSequence(scene / "TestSplit.txt"))) == 2

@@ -46,10 +46,12 @@ def test_recorded_odometry_that_is_missing_is_refused(walk_of_25, tiny_model, ea
     refuse_run(walk_of_25, tiny_model, earlier, capsys, *said, options=both)
 
 
-def test_a_data_set_is_refused_with_the_command_that_makes_a_sequence_of_it(tiny_model, earlier, capsys):
-    data = make_tum(earlier.parent / "a desk")
-    said = f"`vapor-track convert '{data}' '{data}.mcap'` makes one of a data set"
-    refuse_run(data, tiny_model, earlier, capsys, said)
+def test_a_data_set_is_refused_where_it_cannot_be_read_or_has_no_odometry_to_read(tiny_model, earlier, capsys):
+    data = make_tum(earlier.parent / "desk")
+    said = "desk: --odometry recorded with images alone, expected a recording with odometry"
+    refuse_run(data, tiny_model, earlier, capsys, said, options=["--odometry", "recorded"])
+    (data / "groundtruth.txt").write_text("1 2 3\n")
+    refuse_run(data, tiny_model, earlier, capsys, "groundtruth.txt:1: ")
 
 
 def test_a_part_by_an_at_is_refused_with_the_options_that_choose_one(walk_of_25, tiny_model, earlier, capsys):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from sequences.options import SequenceOptions
-from tests.helpers.data_sets import make_7scenes
+from tests.helpers.data_sets import make_7scenes, make_tum
 from tests.helpers.sequence_files import BEGIN_NS, Walk, as_split_folder, rewrite
 from tests.helpers.tiny_model import SMALL
 from vapor.pipeline import batch as batch_module
@@ -76,6 +76,17 @@ def test_a_data_set_is_one_sequence(tmp_path):
     assert not is_batch([scene])
     touch(tmp_path, "a.mcap")
     assert list(find_sequences([scene, tmp_path / "a.mcap"], tmp_path / "out")) == ["scene", "a"]
+
+
+def test_a_folder_stands_for_the_data_sets_in_it_and_a_scene_for_its_sequences(tmp_path):
+    make_7scenes(tmp_path / "all" / "scene", num_images=1, sequences=("seq-01", "seq-02"))
+    make_tum(tmp_path / "all" / "desk", num_images=2)
+    scene = tmp_path / "all" / "scene"
+    assert set(find_sequences([tmp_path / "all"], tmp_path / "out")) == {"desk", "seq-01", "seq-02"}
+    assert find_sequences([scene], tmp_path / "out") == {name: scene / name for name in ("seq-01", "seq-02")}
+    assert is_batch([scene])
+    touch(scene, "walk.mcap")  # recordings are asked for first
+    assert "walk" in find_sequences([scene], tmp_path / "out")
 
 
 def test_names_are_unique_and_as_short_as_they_can_be(tmp_path):

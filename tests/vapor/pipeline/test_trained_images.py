@@ -1,0 +1,72 @@
+"""Runs on data sets: true poses are compared with, and images that the model was trained on are said."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from filtering.se3 import Poses
+from sequences.datasets.listing import list_images
+from tests.helpers.checkpoints import any_checkpoint
+from tests.helpers.command_line import report_of, words_of_run
+from tests.helpers.data_sets import make_7scenes
+from vapor.checkpoints.file_format import save_checkpoint
+from vapor.pipeline.trained_images import said_of_trained_images
+from vapor.regressors.scene_box import SceneBox
+from vapor.track import main
+
+
+@pytest.fixture
+def scene(tmp_path):
+    return make_7scenes(tmp_path / "scene", num_images=8)
+
+
+def _remembering(poses: Poses, path):
+    """A model that remembers images at these poses."""
+    checkpoint = any_checkpoint("retrieval", in_distribution=False)
+    assert checkpoint.memory is not None
+    memory = replace(
+        checkpoint.memory,
+        keys=checkpoint.memory.keys[: len(poses)],
+        views=checkpoint.memory.views[: len(poses)],
+        translation=torch.from_numpy(poses.translation).float(),
+        rotation=torch.from_numpy(poses.rotation).float(),
+    )
+    box = SceneBox.around(poses)
+    save_checkpoint(path, replace(checkpoint, memory=memory, prior_poses=poses, box=box), store_float16=True)
+    return path
+
+
+def test_true_poses_of_a_data_set_are_compared_with(scene, tiny_model, tmp_path):
+    for part, count in (((), 8), (("--start-s", "0.1", "--duration-s", "0.1"), 4)):
+        options = ["--odometry", "none", *part]
+        assert main(words_of_run(scene, tiny_model, tmp_path / "out", options)) == 0
+        report = report_of(tmp_path / "out")
+        assert report["frames"] == report["frames_with_true_pose"] == count
+        assert "were trained on" not in " ".join(report["notices"])  # the model remembers none
+
+
+def test_images_that_were_trained_on_are_said(scene, tmp_path, capsys):
+    poses = list_images(scene).world_from_camera
+    model = _remembering(poses[3:], tmp_path / "model.safetensors")
+    assert main(words_of_run(scene, model, tmp_path / "out", ["--odometry", "none"])) == 0
+    said = "5 of 8 images were trained on: the model remembers images with exactly their true poses"
+    assert report_of(tmp_path / "out")["notices"][0].startswith(said)
+    assert said in capsys.readouterr().out
+    other = ["--odometry", "none", "--duration-s", "0.07"]
+    assert main(words_of_run(scene, model, tmp_path / "out", other)) == 0
+    assert report_of(tmp_path / "out")["frames"] == 3
+    assert not any("were trained on" in notice for notice in report_of(tmp_path / "out")["notices"])
+
+
+def test_poses_that_are_near_but_not_the_same_are_of_other_images():
+    rng = np.random.default_rng(0)
+    trained = Poses.exp(rng.standard_normal((20, 6)) * [100, 100, 1, 1, 1, 1])
+    stored = Poses(trained.rotation.astype(np.float32).astype(float), trained.translation.astype(np.float32))
+    same = said_of_trained_images([None, *(trained[i] for i in range(20))], stored)
+    assert same is not None
+    assert same.startswith("20 of 21 images were trained on")
+    near = trained @ Poses.exp(np.full((20, 6), 1e-3))
+    assert said_of_trained_images([near[i] for i in range(20)], stored) is None
+    assert said_of_trained_images([None, None], stored) is None
