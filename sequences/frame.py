@@ -90,6 +90,8 @@ class Frame:
         camera_name: Which of several cameras took the image; '' where there is one.
         reference_from_camera: Pose of that camera in the one that is localized, one pose; None where it is that one.
         gravity: By an inertial unit; None where it is unknown.
+        number: Number of the image in its file or folder, by which `PATH@START:STOP` counts; None where it is not
+            counted.
     """
 
     time_ns: int
@@ -101,6 +103,7 @@ class Frame:
     camera_name: str = ""
     reference_from_camera: Poses | None = None
     gravity: Gravity | None = None
+    number: int | None = None
 
     @property
     def world_from_reference(self) -> Poses | None:

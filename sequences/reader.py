@@ -16,7 +16,7 @@ from sequences.reading.camera_info import ImageCamera
 from sequences.reading.counts import ImageCounts
 from sequences.reading.frame_pairing import FramePairing, MotionStreams
 from sequences.reading.motion import odometry_apart, true_poses_apart
-from sequences.reading.roles import Roles
+from sequences.reading.roles import ODOMETRY_TYPE, Roles
 from sequences.reading.timeline import Key, LoggedSegment, Timeline
 from sequences.recordings.bag import METADATA_NAME, Bag
 from sequences.trajectories.interpolation import MAX_ODOMETRY_GAP_S
@@ -118,6 +118,12 @@ class SequenceReader:
     def localized_camera(self) -> str:
         """Name of the camera that is localized, also where it is not read."""
         return self._roles.cameras[0].name
+
+    @property
+    def unused_odometry(self) -> dict[str, int]:
+        """Topics of odometry that is recorded and cannot be used, with the number of their messages."""
+        topics = [] if self.base_from_camera is not None else self._bag.topics.values()
+        return {each.name: each.num_messages for each in topics if each.type == ODOMETRY_TYPE and each.num_messages}
 
     def cameras(self) -> Counter[Camera]:
         """How many images are of which camera, undistorted, whether used or not; of known cameras."""

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from sequences.datasets.layout import PosedImages
 from sequences.datasets.layout_helpers.image_files import decoded_file
-from sequences.datasets.listing import as_typed, is_recording, list_images, none_among
+from sequences.datasets.listing import as_typed, clipped, is_recording, list_images, none_among
 from sequences.datasets.points import SeenPoints
 from sequences.errors import NoImageError, SequenceError
 from sequences.files import Rows
@@ -58,6 +58,8 @@ class PosedFrames(Iterator[Frame]):
             yield frame
         if is_empty:
             raise SequenceError(f"{self._path}: {none_among(self._slice, self._known)}")
+        if self._known is not None and (fewer := clipped(self._slice, self._known)) is not None:
+            self.notices.append(f"{self._path}: {fewer}")
 
     def _recorded(self) -> Iterator[Frame]:
         """Frames of a recording; without odometry where the frame before was left out."""
@@ -86,9 +88,10 @@ class PosedFrames(Iterator[Frame]):
             )
         counter = count()
         posed = (frame for frame, _ in zip(_posed(reader, self.skipped), counter, strict=False))
-        for number, frame in enumerate(islice(posed, begin, end, step)):
-            follows = number > 0 and step in (None, 1)
-            yield frame if follows else replace(frame, odometry=None)
+        for taken, frame in enumerate(islice(posed, begin, end, step)):
+            follows = taken > 0 and step in (None, 1)
+            number = (begin or 0) + taken * (step or 1)
+            yield replace(frame, odometry=frame.odometry if follows else None, number=number)
         if end is None or (begin or 0) < end:  # where nothing was yielded, all were read
             self._known = max(self._known or 0, next(counter))
         reader.stop()
@@ -113,6 +116,7 @@ class PosedFrames(Iterator[Frame]):
         self.skipped.update(source.skipped)
         self._known = len(source)
         images, rows = source[self._slice], Rows("images", why_skipped)
+        numbers = range(len(source))[self._slice]
         undistort = self._options is None or self._options.undistort
         for i, file in rows.each(enumerate(images.files)):
             image = rows.use(decoded_file, file)
@@ -124,7 +128,8 @@ class PosedFrames(Iterator[Frame]):
             except SequenceError as error:
                 raise SequenceError(f"{file}: {error}") from error
             sequence = 0 if images.sequence is None else int(images.sequence[i])
-            yield Frame(int(images.times_ns[i]), image, None, images.world_from_camera[i], camera, sequence)
+            pose = images.world_from_camera[i]
+            yield Frame(int(images.times_ns[i]), image, None, pose, camera, sequence, number=numbers[i])
         self.notices += [*images.notices, *rows.notices]
 
     def _open(self) -> SequenceReader | PosedImages:

@@ -58,6 +58,16 @@ def none_among(frames: slice, count: int | None) -> str:
     return f"no image with a true pose in frames {as_typed(frames)}{there}"
 
 
+def clipped(frames: slice, count: int) -> str | None:
+    """That fewer images were found than were asked for, of `count` with a true pose; None where all are there."""
+    if frames.stop is None or frames.stop <= count or count <= (first := frames.start or 0):
+        return None
+    return (
+        f"images {as_typed(frames)} were asked for, and there are {count}, numbered 0 to {count - 1}: {first} to"
+        f" {count - 1} were taken"
+    )
+
+
 def is_data_set(path: Path) -> bool:
     """Whether a folder is of a known layout. Raises SequenceError where a file of it is missing or damaged."""
     return found_images(path) is not None

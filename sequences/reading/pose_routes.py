@@ -198,7 +198,8 @@ def _only_candidate(
     could = [f"{t.name} ({t.type}: --ground-truth-topic {t.name})" for t in topics]
     could += [f"tf frame {name} (--ground-truth-frame {name})" for name in frames]
     could += [f"{t.name}, odometry as it seems ({t.type}: --ground-truth-topic {t.name})" for t in others]
-    made = f"`vapor-track map {shlex.quote(str(bag.path))} --output place/` makes them"
+    camera = [] if options.image_topic is None else ["--image-topic", options.image_topic]
+    made = f"`{shlex.join(['vapor-track', 'map', str(bag.path), *camera, '--output', 'place/'])}` makes them"
     if could:
         raise SequenceError(
             f"{bag.path}: no true poses found without a choice to make, expected one of: {'; '.join(could)}; or a file"

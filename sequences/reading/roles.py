@@ -20,6 +20,8 @@ from sequences.reading.timeline import Key, Timeline
 from sequences.recordings.messages import frame_name
 from sequences.recordings.source import TF, TF_STATIC, MessageSource, RawMessage, Topic, choose, decode, first
 
+ODOMETRY_TYPE = "nav_msgs/Odometry"
+"""Type of the messages of odometry."""
 _OFFSET_SEGMENT_S, _OFFSET_STEP_S = 1800.0, 0.02  # of odometry, to find a time offset in
 
 
@@ -96,7 +98,7 @@ class Roles:
             topic = choose(
                 bag,
                 "odometry",
-                ("nav_msgs/Odometry",),
+                (ODOMETRY_TYPE,),
                 options.odometry_topic,
                 required=True,
                 besides=options.ground_truth_topic,

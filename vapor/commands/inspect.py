@@ -14,7 +14,7 @@ import numpy as np
 import tyro
 from rich.table import Table
 
-from filtering.errors import shortened
+from filtering.errors import VaporTrackError, shortened
 from sequences.datasets.points import scene_points
 from sequences.frame import Frame
 from sequences.options import SequenceOptions
@@ -62,7 +62,8 @@ Part: TypeAlias = tuple[str, Sequence[Table | str]]
 
 @dataclass(frozen=True)
 class Options:
-    """Judge whether recordings are good enough to train on, and what to record again."""
+    """Judge whether recordings are good enough to train on, and what to record again. Exit status: 0 if they are, 1 if
+    not, or if they cannot be read."""
 
     data: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="DATA ...")]
     """MCAP files, rosbag2 folders, data set folders or files that list a split. PATH@100:200 takes only images 100 to
@@ -121,6 +122,9 @@ def main(arguments: Sequence[str]) -> None:
             show(f"{o.output / name}")
         if found.coverage is not None and o.recording:
             show(f"rerun {o.output / _RECORDING}")
+    if found.verdict.faults:
+        count = len(found.verdict.faults)
+        raise VaporTrackError(f"not good enough to train on yet: {count} point{'s' * (count > 1)} to put right")
 
 
 def _page(found: Inspection, o: Options, picture: Path, command: str) -> Page:

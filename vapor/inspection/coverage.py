@@ -30,7 +30,7 @@ def _round(value: float) -> float:
 
 @dataclass(frozen=True)
 class Segment:
-    """Images in a row of one recording, first to last: numbers count its images with a true pose, from 0.
+    """Images in a row of one recording, first to last: numbers count its images with a true pose, as PATH@START:STOP.
 
     Heights, in metres, are of the lowest and the highest; most images are on the storey with this number, from 1.
     """
@@ -194,7 +194,7 @@ class Coverage:
             if len(rows):
                 within = slice(rows[0], rows[-1] + 1)
                 number, heights = int(sequence[run.start]), self.places[within, 2]
-                first, last = (rows[[0, -1]] - int(np.argmax(sequence == number))).tolist()
+                first, last = self.images.number[rows[[0, -1]]].tolist()
                 storey = int(np.bincount(self.storey[within]).argmax()) + 1
                 low_m, high_m = float(heights.min()), float(heights.max())
                 found.append(Segment(self.images.names[number], first, last, low_m, high_m, storey))

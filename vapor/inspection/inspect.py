@@ -82,7 +82,7 @@ def inspect(
     stage, how much of it is done, and of how much.
 
     Raises:
-        TrainingError: no data, a bad range, or a pose that is not finite.
+        TrainingError: no data, a bad range, two entries that share images, or a pose that is not finite.
         SequenceError: data that cannot be read.
     """
     predicted: list[Prediction] = []

@@ -12,7 +12,7 @@ import numpy as np
 from filtering.motion import measured
 from filtering.se3 import Poses
 from sequences.datasets.frames import as_its_own, posed_frames
-from sequences.datasets.listing import is_recording, list_images
+from sequences.datasets.listing import clipped, is_recording, list_images
 from sequences.errors import NoImageError, SequenceError
 from sequences.frame import Frame
 from sequences.inertial.sequence import InertialSequence
@@ -21,7 +21,7 @@ from sequences.options import OdometryUse, SequenceOptions, TruePoseUse
 from sequences.reader import SequenceReader
 from sequences.reading.counts import ImageCounts
 from vapor.inspection.walk import Walk
-from vapor.training_data.entries import name_entries
+from vapor.training_data.entries import name_entries, require_no_leakage
 from vapor.training_data.training_set import TrainingError, TrainingSet
 
 
@@ -37,11 +37,12 @@ def read_walks(
     frame in order.
 
     Raises:
-        TrainingError: no data, a bad range, or a pose that is not finite.
+        TrainingError: no data, a bad range, two entries that share images, or a pose that is not finite.
         SequenceError: data that cannot be read.
     """
     if not data:
         raise TrainingError("no data, expected at least one file or folder")
+    require_no_leakage(data)
     walks: list[Walk] = []
     for name, (path, which) in name_entries(data).items():
         source = Source(path, which, reading)
@@ -73,6 +74,7 @@ class Source:
         notices: Remarks on the data.
         assumed_hz: Rate assumed for want of stamps.
         lacks: Reasons why "true poses" or "odometry" are missing.
+        unused_odometry: Topics of odometry that is recorded and cannot be used, with the number of their messages.
     """
 
     def __init__(self, path: Path, which: slice, reading: SequenceOptions | None) -> None:
@@ -81,6 +83,7 @@ class Source:
         self.notices: list[str] = []
         self.assumed_hz: int | None = None
         self.lacks: dict[str, str] = {}
+        self.unused_odometry: dict[str, int] = {}
         self._path, self._which, self._reading = path, which, reading
         self.recorded = is_recording(path)
 
@@ -98,6 +101,7 @@ class Source:
             self._ask("true poses", odometry="optional", true_poses="required")
         if reader.base_from_camera is None:
             self._ask("odometry", odometry="required")
+            self.unused_odometry = reader.unused_odometry
         self.counts = ImageCounts(0)
         if len(reader.camera_names) == 1:
             yield from self._of_camera(reader)
@@ -128,8 +132,11 @@ class Source:
             if stop is not None and number >= stop:
                 break
             if max(number, 0) >= start:
-                yield replace(frame, odometry=measured(frame.odometry) if taken else None)
+                motion = measured(frame.odometry) if taken else None
+                yield replace(frame, odometry=motion, number=max(number, 0))
                 taken += 1
+        if (fewer := clipped(self._which, number + 1)) is not None:
+            self.notices.append(f"{self._path}: {fewer}")
         reader.stop()
         for _ in frames:  # none comes any more
             pass
@@ -170,6 +177,7 @@ def posed_images(walks: Sequence[Walk]) -> TrainingSet | None:
         np.concatenate([walk.times_ns[walk.posed] for walk in walks]),
         tuple(odometry),
         walks=tuple(_walk_numbers(walks)),
+        numbers=np.concatenate([walk.numbers[walk.posed] for walk in walks]),
     )
 
 

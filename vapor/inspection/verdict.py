@@ -50,7 +50,7 @@ class Verdict:
             which = "the first point" if len(self.faults) == 1 else f"the first {len(self.faults)} points"
             return f"Not good enough to train on yet: put right {which if self.advice else 'what follows'}"
         if self.advice:
-            return "Good enough to train on; the points say what would be better still"
+            return "Good enough to train on; the points say what would make a better model"
         return "Good enough to train on: nothing found that another recording would mend"
 
     @property
@@ -93,11 +93,14 @@ def _useless(walks: Sequence[Walk], coverage: Coverage | None) -> Iterator[str]:
         if not len(walk.poses):
             reason = walk.source.lacks.get("true poses") or next(iter(walk.source.notices), "no image has one")
             yield f"give {walk.name} true poses, which `train` needs: {reason}"
+    count, having = sum(map(len, walks)), ""
+    if coverage is not None:
+        count, having = len(coverage.images), " with true poses"
+    if count < _FEW_IMAGES:
+        yield f"record more: {count} image{'s' * (count != 1)}{having}, expected some hundreds at least"
     if coverage is None:
         return
-    count, poses = len(coverage.images), coverage.images.poses
-    if count < _FEW_IMAGES:
-        yield f"record more: {count} image{'s' * (count != 1)} with true poses, expected some hundreds at least"
+    poses = coverage.images.poses
     moved_m, turned = poses.distance(poses[0])
     if count > 1 and moved_m.max() < _STANDS_M and turned.max() < _STANDS_RAD:
         yield (
@@ -198,7 +201,13 @@ def _coverage(coverage: Coverage) -> Iterator[str]:
     segments = [segment for segment in coverage.alone() if all(storey.number != segment.storey for storey in lacking)]
     if alone > _ALONE and segments:
         whose = "no other recording shows" if coverage.by_recordings else "no other pass shows"
-        yield f"record again what {whose}, {100 * alone:.0f} % of the images: {_first(segments)}"
+        sentence = f"walk once more where {whose} what {100 * alone:.0f} % of the images do: {_first(segments)}"
+        if alone > _MOST:
+            sentence += (
+                "; until then `train` can tell errors only on images close to those that it is trained on, not on"
+                " another walk"
+            )
+        yield sentence
 
 
 def _images(walk: Walk) -> Iterator[tuple[float, str]]:
@@ -253,10 +262,18 @@ def _without(walks: Sequence[Walk]) -> Iterator[str]:
     """Odometry is not needed for training."""
     lacking = [walk for walk in walks if walk.source.recorded and not any(step is not None for step in walk.odometry)]
     if lacking:
-        reason = lacking[0].source.lacks.get("odometry", "none is of the time of the images")
+        source, names = lacking[0].source, _first([walk.name for walk in lacking])
+        reason = source.lacks.get("odometry", "none is of the time of the images")
+        if source.unused_odometry:
+            there = ", ".join(f"{count} messages of {name}" for name, count in source.unused_odometry.items())
+            yield (
+                f"make the odometry of {names} usable, {there}: {reason}; training does without, and `run --odometry"
+                " visual` makes it from the images, less exactly"
+            )
+            return
         yield (
-            f"record odometry too: none in {_first([walk.name for walk in lacking])} ({reason});"
-            " training does without, localizing does not"
+            f"record odometry too: none in {names} ({reason}); training does without, and `run` makes it from the"
+            " images, less exactly"
         )
 
 

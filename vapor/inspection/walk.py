@@ -70,6 +70,7 @@ class Walk:
         self.odometry: list[Odometry | None] = []
         self.views, self.colours = Views(), Colours()
         self._times_ns: list[int] = []
+        self._numbers: list[int] = []
         self._looks: list[tuple[float, ...]] = []
         self._poses: list[Poses | None] = []
 
@@ -79,6 +80,7 @@ class Walk:
         self.odometry.append(frame.odometry)
         self.views.take(frame)
         self.colours.take(frame.image)
+        self._numbers.append(len(self) if frame.number is None else frame.number)
         self._times_ns.append(frame.time_ns)
         self._looks.append(look_at(frame.image))
         self._poses.append(frame.world_from_camera)
@@ -90,6 +92,11 @@ class Walk:
     def times_ns(self) -> Int64[np.ndarray, " n"]:
         """Stamps of the images."""
         return np.array(self._times_ns, np.int64)
+
+    @cached_property
+    def numbers(self) -> Int64[np.ndarray, " n"]:
+        """Numbers of the images in the file or folder, as PATH@START:STOP counts."""
+        return np.array(self._numbers, np.int64)
 
     @property
     def seconds(self) -> Float64[np.ndarray, " n"]:
@@ -159,11 +166,12 @@ class Walk:
 
     @property
     def frozen(self) -> list[tuple[int, int]]:
-        """First and last of at least three images in a row that are equal."""
+        """Numbers of the first and last of at least three images in a row that are equal."""
         begins = np.flatnonzero(~self.repeated)
         lengths = np.diff([*begins.tolist(), len(self)])
         long = lengths >= _LEAST_RUN
-        return [(begin, begin + length - 1) for begin, length in np.stack([begins, lengths], axis=1)[long].tolist()]
+        first, last = self.numbers[begins[long]], self.numbers[begins[long] + lengths[long] - 1]
+        return list(zip(first.tolist(), last.tolist(), strict=True))
 
     @property
     def path_m(self) -> float | None:
@@ -198,7 +206,7 @@ class Walk:
             "blurred": float(self.blurred.mean()),
             "dark": float(self.dark.mean()),
             "blown_out": float(self.blown.mean()),
-            "brightness_jumps": np.flatnonzero(self.jumps).tolist(),
+            "brightness_jumps": self.numbers[self.jumps].tolist(),
             "frozen_images": [list(run) for run in self.frozen],
             "gaps": [{"at_s": at_s, "seconds": long_s} for at_s, long_s in self.gaps],
             "counts": None if source.counts is None else source.counts.as_json(),

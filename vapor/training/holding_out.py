@@ -277,5 +277,5 @@ def _in_words(images: TrainingSet, mask: Bool[np.ndarray, " n"]) -> str:
             parts.append(f"{name} ({len(own)} images)")
             continue
         own_runs = [run for run in runs(mask, images.sequence) if images.sequence[run.start] == number]
-        parts.append(f"{name}, images {describe_runs(own_runs, int(own[0]))}")
+        parts.append(f"{name}, images {describe_runs(own_runs, images.number)}")
     return "; ".join(parts[:_NAMED]) + (f"; and {len(parts) - _NAMED} more" if len(parts) > _NAMED else "")

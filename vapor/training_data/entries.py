@@ -100,9 +100,8 @@ def require_no_leakage(data: Sequence[Path | str], held_out: Sequence[Path | str
         else:
             shared = not files(entry).isdisjoint(files(other))
         if shared:
-            raise TrainingError(
-                f"{other}: shares images with {entry}, which is trained on; expected none of them to be held out"
-            )
+            why = "each image once" if held_out is None else "none of the images that are trained on to be held out"
+            raise TrainingError(f"{other}: shares images with {entry}, expected {why}")
 
 
 def _source(entry: Path | str) -> tuple[Path, slice]:

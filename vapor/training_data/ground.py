@@ -42,7 +42,7 @@ def describe_unshown(poses: Poses, training: Poses, *, verified: Bool[np.ndarray
         return None
     if verified is not None and float(verified[~shown].mean()) >= _VERIFIED:
         return None
-    images = describe_runs(list(runs(~shown, np.zeros(len(shown), np.int64))), 0)
+    images = describe_runs(list(runs(~shown, np.zeros(len(shown), np.int64))), np.arange(len(shown)))
     return (
         f"{fraction:.0%} of the images were taken, by the smoothed trajectory, where no training image is within"
         f" {near_m:.2g} m and 45°: images {images}; expect larger errors there,"
@@ -93,9 +93,9 @@ def runs(mask: Bool[np.ndarray, " n"], sequence: Int64[np.ndarray, " n"]) -> Ite
             yield slice(int(run[0]), int(run[-1]) + 1)
 
 
-def describe_runs(found: Sequence[slice], first: int) -> str:
-    """The first and last image of each run, counted from the first image of their recording."""
-    words = [f"{run.start - first} to {run.stop - 1 - first}" for run in found[:_NAMED_RUNS]]
+def describe_runs(found: Sequence[slice], numbers: Int64[np.ndarray, " n"]) -> str:
+    """The first and last image of each run, by the numbers of all images, (n,)."""
+    words = [f"{numbers[run.start]} to {numbers[run.stop - 1]}" for run in found[:_NAMED_RUNS]]
     if (more := len(found) - _NAMED_RUNS) > 0:
         words.append(f"{more} more range{'s' if more > 1 else ''}")
     return " and ".join([*([", ".join(words[:-1])] if words[:-1] else []), words[-1]])

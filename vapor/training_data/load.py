@@ -97,7 +97,7 @@ def load_training_set(
                 points = of_image and replace(of_image, point=of_image.point + index * POINTS_OF_A_MODEL)
                 step = frame.odometry if follows else None
                 source = index, frame.sequence, cameras.setdefault(frame.camera_name, len(cameras))
-                rows.append(_Row(source, frame.time_ns, frame.world_from_camera, step, points))
+                rows.append(_Row(source, frame.time_ns, frame.world_from_camera, step, points, frame.number))
                 follows = True
                 progress(len(rows))
             if len(rows) == num_before:
@@ -114,6 +114,7 @@ def load_training_set(
         kept, view_camera = (grey.kept(), grey.camera) if grey else (np.zeros((0, 1, 1), np.uint8), None)
     sources, points = [row.source for row in rows], tuple(row.points for row in rows)
     poses = Poses.stack([row.pose for row in rows])
+    counted = [row.number for row in rows if row.number is not None]
     notices += said_of_colours(colours)
     notices += [*_of_cameras(as_taken, len(sources)), *too_far(poses)]
     begins = np.any(np.diff(np.array(sources), axis=0, prepend=[sources[0]]) != 0, axis=1)
@@ -136,6 +137,7 @@ def load_training_set(
         points if any(points) else (),
         tuple(walks[source[:2]] for source in begun),
         tuple(topics),
+        np.array(counted, np.int64) if len(counted) == len(rows) else None,
     )
 
 
@@ -145,6 +147,7 @@ class _Row(NamedTuple):
     pose: Poses
     odometry: Odometry | None
     points: SeenPoints | None
+    number: int | None
 
 
 def _commonest_camera(sequences: Mapping[str, Iterable[Frame]]) -> Camera | None:

@@ -59,6 +59,8 @@ class TrainingSet:
         walks: Number of the walk of each sequence, by its index: several cameras record one walk, each a sequence of
             its own. Empty where each sequence is a walk.
         cameras: Names of the cameras of recordings; empty where none is known.
+        numbers: Number of each image in its file or folder, by which `PATH@START:STOP` counts, (n,); None where they
+            are not counted.
         seen: What a backbone that never learns makes of the m images; one for all selections.
     """
 
@@ -78,6 +80,7 @@ class TrainingSet:
     seen_points: tuple[SeenPoints | None, ...] = ()
     walks: tuple[int, ...] = ()
     cameras: tuple[str, ...] = ()
+    numbers: Int64[np.ndarray, " n"] | None = None
     seen: SeenImages = field(default_factory=SeenImages, compare=False, repr=False)
 
     def __len__(self) -> int:
@@ -87,6 +90,14 @@ class TrainingSet:
     def walk(self) -> Int64[np.ndarray, " n"]:
         """Number of the walk of each image, (n,)."""
         return np.array(self.walks, np.int64)[self.sequence] if self.walks else self.sequence
+
+    @property
+    def number(self) -> Int64[np.ndarray, " n"]:
+        """`numbers`; where there are none, each image's number in its sequence, (n,)."""
+        if self.numbers is not None:
+            return self.numbers
+        begins = np.searchsorted(self.sequence, self.sequence)
+        return np.arange(len(self)) - begins
 
     def unload(self) -> None:
         """Free the memory of images read from disk; they are read again when they are used."""
@@ -103,5 +114,6 @@ class TrainingSet:
             poses=self.poses[indices],
             sequence=self.sequence[indices],
             times_ns=self.times_ns[indices],
+            numbers=None if self.numbers is None else self.numbers[indices],
             odometry=tuple(self.odometry[i] if after else None for i, after in zip(indices, follows, strict=True)),
         )
