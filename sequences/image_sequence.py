@@ -45,7 +45,6 @@ class _Dated(NamedTuple):
     pose: Poses | None = None
 
 
-
 def is_image_sequence(path: Path) -> bool:
     """Whether a path is a video file by its name, a data set, or a folder with images and without a recording in it.
 

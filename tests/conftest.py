@@ -84,7 +84,7 @@ def no_views(no_camera: None, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def no_camera(monkeypatch: pytest.MonkeyPatch) -> None:
     """Inspections estimate no camera, where a test does not look at it: it takes seconds."""
-    monkeypatch.setattr("vapor.inspection.camera.CameraViews.take", lambda views, frame: None)
+    monkeypatch.setattr("vapor.inspection.camera.CameraViews.take", lambda views, frame, row: None)
 
 
 @pytest.fixture

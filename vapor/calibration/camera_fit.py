@@ -7,8 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from vapor.calibration.verified_errors import leave_out
-from vapor.landmarks.build import BuiltMap, Material, build, camera_found
+from vapor.landmarks.build import Advance, BuiltMap, Material, build, camera_found, gather
 from vapor.landmarks.landmark_map import ViewCamera
+from vapor.training_data.ground import near_scale_m
+from vapor.training_data.training_set import TrainingSet
 
 _COMPARED = 60  # images by which two cameras are compared
 _CLEARLY = 0.95  # times the error, with which another camera fits clearly better
@@ -69,6 +71,24 @@ class CameraFit:
             f"{words}: {self.by_found.agreeing:.0%} instead of {self.by_stated.agreeing:.0%} of matches agree, and"
             f" images are localized within {found} instead of {stated}"
         )
+
+
+def material_of(images: TrainingSet, advance: Advance | None = None) -> Material | None:
+    """What a map and a camera are found from, of images with views; None where no two show the same from two sides.
+
+    `advance` is called with the number of key images done, and of all.
+    """
+    assert images.view_camera is not None
+    return gather(
+        lambda image: images.views[images.rows[image]],
+        images.poses,
+        images.view_camera,
+        sequence=images.sequence,
+        stated=images.camera is not None,
+        scale_m=near_scale_m(images.poses),
+        given=lambda image: images.seen_points[images.rows[image]] if images.seen_points else None,
+        advance=advance,
+    )
 
 
 def fit_camera(material: Material, *, compare: bool = True) -> CameraFit | None:

@@ -283,7 +283,7 @@ def _view_lines(walks: Sequence[Walk]) -> Iterator[str]:
 def _camera_lines(check: CameraCheck) -> Iterator[str]:
     yield check.in_words
     if (camera := check.found) is not None and check.fit is not None:
-        others = "" if check.of_all else "; images of other cameras were left out"
+        others = "" if check.of_all else "; images of other intrinsics were resampled"
         yield (
             f"fitted at {camera.width} x {camera.height} pixels: fx {camera.fx:.1f}, fy {camera.fy:.1f}, cx"
             f" {camera.cx:.1f}, cy {camera.cy:.1f}, k1 {check.fit.found.k1:.3f}, k2 {check.fit.found.k2:.3f}, found in"

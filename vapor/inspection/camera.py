@@ -2,84 +2,69 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any, NamedTuple
+import tempfile
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
-from jaxtyping import UInt8
 
-from filtering.se3 import Poses
 from sequences.frame import Camera, Frame
-from vapor.calibration.camera_fit import CameraFit, fit_camera
-from vapor.landmarks.build import gather
-from vapor.landmarks.verify import grey_view
-from vapor.training_data.ground import near_scale_m
-from vapor.training_data.load import shrunk, usual_camera
+from vapor.calibration.camera_fit import CameraFit, fit_camera, material_of
+from vapor.training_data.load import GreyViews, usual_camera
+from vapor.training_data.training_set import TrainingSet
 
-_RUN, _MOST_IMAGES = 30, 300  # images in a row, and in all
 _SAME_PX = 1.0  # median distance, at the size at which features are found: nearer is as stated
 
 
-class _View(NamedTuple):
-    number: int  # among the images with a true pose
-    grey: UInt8[np.ndarray, "h w"]
-    pose: Poses
-    camera: Camera  # at the size of the image
-    is_stated: bool
-
-
 class CameraViews:
-    """Runs of images with true poses, spread over a recording of unknown length: 300 images at most."""
+    """The images of one camera that have a true pose, grey and small, in a temporary file.
+
+    Images of other intrinsics than the first are resampled to these, as for a training.
+    """
 
     def __init__(self) -> None:
-        self._views: list[_View] = []
-        self._count, self._every = 0, 1
+        self._file = tempfile.TemporaryFile()  # noqa: SIM115 (it is closed with this object)
+        self._views: GreyViews | None = None
+        self._camera: Camera | None = None
+        self._is_stated = False
+        self._rows: list[int] = []
 
-    def take(self, frame: Frame) -> None:
-        """The next image."""
-        if frame.world_from_camera is None or not frame.image.size:
+    def take(self, frame: Frame, row: int) -> None:
+        """The next image with a true pose; its row in the `TrainingSet` that will be checked."""
+        if not frame.image.size:
             return
-        number, self._count = self._count, self._count + 1
-        if not self._is_kept(number):
-            return
-        height, width = frame.image.shape[:2]
-        camera = usual_camera(width, height) if frame.camera is None else frame.camera
-        grey = grey_view(frame.image, shrunk(camera))
-        self._views.append(_View(number, grey, frame.world_from_camera, camera, frame.camera is not None))
-        while len(self._views) > _MOST_IMAGES:
-            self._every *= 2
-            self._views = [view for view in self._views if self._is_kept(view.number)]
+        if self._views is None or self._camera is None:
+            height, width = frame.image.shape[:2]
+            self._is_stated = frame.camera is not None
+            self._camera = usual_camera(width, height) if frame.camera is None else frame.camera
+            self._views = GreyViews(self._camera, self._file)
+        self._views.take(frame)
+        self._rows.append(row)
 
-    def _is_kept(self, number: int) -> bool:
-        return number // _RUN % self._every == 0
+    def check(
+        self, images: TrainingSet | None, advance: Callable[[int, int], None] = lambda done, total: None
+    ) -> CameraCheck:
+        """Fit the camera as a training does; `advance` is called with the number of key images done and of all.
 
-    def check(self, advance: Callable[[int, int], None] = lambda done, total: None) -> CameraCheck:
-        """Fit the camera of most images; `advance` is called with the number of key images done and of all."""
-        cameras = Counter((view.camera, view.is_stated) for view in self._views)
-        if not cameras:
+        `images` have the poses of all images; None where no image has one.
+        """
+        if self._views is None or images is None:
             return CameraCheck(0, None, None, False)
-        (camera, is_stated), count = cameras.most_common(1)[0]
-        views = [view for view in self._views if (view.camera, view.is_stated) == (camera, is_stated)]
-        fit = _fit(views, advance) if count > 1 else None
-        return CameraCheck(count, camera, fit, len(cameras) == 1)
+        count, fit = len(self._rows), None
+        if count > 1:
+            own = images.select(np.array(self._rows))
+            own = replace(own, rows=np.arange(count), views=self._views.kept(), view_camera=self._views.camera)
+            own = replace(own, camera=self._camera if self._is_stated else None, seen_points=_some(images, self._rows))
+            material = material_of(own, advance)
+            fit = None if material is None else fit_camera(material)
+        if fit is not None and fit.by_stated is None and fit.by_found is None:
+            fit = None
+        return CameraCheck(count, self._camera, fit, not self._views.others)
 
 
-def _fit(views: Sequence[_View], advance: Callable[[int, int], None]) -> CameraFit | None:
-    """The camera that fits images of one camera; None where they show too little from two sides."""
-    poses = Poses.stack([view.pose for view in views])
-    material = gather(
-        lambda image: views[image].grey,
-        poses,
-        shrunk(views[0].camera),
-        sequence=np.cumsum(np.diff([view.number for view in views], prepend=-1) > 1),
-        stated=views[0].is_stated,
-        scale_m=near_scale_m(poses),
-        advance=advance,
-    )
-    fit = None if material is None else fit_camera(material)
-    return None if fit is None or (fit.by_stated is None and fit.by_found is None) else fit
+def _some(images: TrainingSet, rows: list[int]) -> tuple[Any, ...]:
+    return tuple(images.seen_points[row] for row in rows) if images.seen_points else ()
 
 
 @dataclass(frozen=True)
@@ -87,7 +72,7 @@ class CameraCheck:
     """The stated intrinsics, and those that fit a number of images and their true poses.
 
     The camera is as stated, at the size of the images, or a guess; None without true poses. There is no fit where too
-    little is seen from two sides. `of_all`: whether all images are of this camera.
+    little is seen from two sides. `of_all`: whether no image was resampled, for its other intrinsics.
     """
 
     images: int

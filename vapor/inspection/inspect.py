@@ -88,12 +88,14 @@ def inspect(
     predicted: list[Prediction] = []
     some: EvenlySpaced[SeenImage] = EvenlySpaced(MOST_IMAGES)
     views: dict[str, CameraViews] = {}
-    rng, done = np.random.default_rng(0), count(1)
+    rng, done, row = np.random.default_rng(0), count(1), count()
 
     def take(frame: Frame) -> None:
         progress("reading images", next(done), None)
         see(frame)
-        views.setdefault(frame.camera_name, CameraViews()).take(frame)
+        camera = views.setdefault(frame.camera_name, CameraViews())
+        if frame.world_from_camera is not None:
+            camera.take(frame, next(row))
         if model is not None:
             some.add(lambda: (frame.image, frame.camera))
             predicted.append(Prediction.of(model.observe(frame.image, rng=rng)))
@@ -109,7 +111,8 @@ def inspect(
         odometry = check_odometry(images)
         notices = tuple(too_far(images.poses))
     cameras = {
-        name: each.check(lambda done, total: progress("the camera", done, total)) for name, each in views.items()
+        name: each.check(images, lambda done, total: progress("the camera", done, total))
+        for name, each in views.items()
     }
     if model is not None:
         posed = np.concatenate([walk.posed for walk in walks])

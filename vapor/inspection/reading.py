@@ -13,6 +13,7 @@ from filtering.motion import measured
 from filtering.se3 import Poses
 from sequences.datasets.frames import as_its_own, posed_frames
 from sequences.datasets.listing import clipped, is_recording, list_images
+from sequences.datasets.points import POINTS_OF_A_MODEL, SeenPoints
 from sequences.errors import NoImageError, SequenceError
 from sequences.frame import Frame
 from sequences.inertial.sequence import InertialSequence
@@ -44,8 +45,8 @@ def read_walks(
         raise TrainingError("no data, expected at least one file or folder")
     require_no_leakage(data)
     walks: list[Walk] = []
-    for name, (path, which) in name_entries(data).items():
-        source = Source(path, which, reading)
+    for number, (name, (path, which)) in enumerate(name_entries(data).items()):
+        source = Source(path, which, reading, first_point=number * POINTS_OF_A_MODEL)
         parts: dict[tuple[int, str], Walk] = {}
         for frame in source.frames():
             if frame.world_from_camera is not None and not frame.world_from_camera.is_finite():
@@ -54,7 +55,7 @@ def read_walks(
             part = frame.sequence, frame.camera_name
             if part not in parts:
                 parts[part] = Walk(name, source)
-            parts[part].take(frame)
+            parts[part].take(frame, source.points_in(frame))
         several = len({number for number, _ in parts}) > 1
         for (number, camera), walk in parts.items():
             walk.name = name + (f", sequence {number + 1}" if several else "") + (f", {camera}" if camera else "")
@@ -77,7 +78,7 @@ class Source:
         unused_odometry: Topics of odometry that is recorded and cannot be used, with the number of their messages.
     """
 
-    def __init__(self, path: Path, which: slice, reading: SequenceOptions | None) -> None:
+    def __init__(self, path: Path, which: slice, reading: SequenceOptions | None, *, first_point: int = 0) -> None:
         self.counts: ImageCounts | None = None
         self.skipped: Counter[str] = Counter()
         self.notices: list[str] = []
@@ -85,6 +86,8 @@ class Source:
         self.lacks: dict[str, str] = {}
         self.unused_odometry: dict[str, int] = {}
         self._path, self._which, self._reading = path, which, reading
+        self._points: dict[int, SeenPoints] = {}
+        self._first_point = first_point
         self.recorded = is_recording(path)
 
     def frames(self) -> Iterator[Frame]:
@@ -92,7 +95,8 @@ class Source:
         if not self.recorded:
             self.assumed_hz = list_images(self._path).assumed_hz
             self.lacks["odometry"] = "images on disk have none"
-            posed = posed_frames(self._path, frames=self._which)
+            posed = posed_frames(self._path, frames=self._which, options=self._reading)
+            self._points = posed.seen_points()
             yield from posed
             self.skipped, self.notices = posed.skipped, posed.notices
             return
@@ -116,6 +120,11 @@ class Source:
                 self.notices.append(f"{name} is left out: {error}")
         if len(unusable) == len(reader.camera_names):
             raise unusable[0]
+
+    def points_in(self, frame: Frame) -> SeenPoints | None:
+        """Points of a reconstruction that a frame shows, which no other entry shows; None where there is none."""
+        found = self._points.get(frame.time_ns) if frame.camera is not None else None
+        return found and replace(found, point=found.point + self._first_point)
 
     def _of_camera(self, reader: SequenceReader) -> Iterator[Frame]:
         start, stop = self._which.start or 0, self._which.stop
@@ -167,6 +176,7 @@ def posed_images(walks: Sequence[Walk]) -> TrainingSet | None:
         follows = np.concatenate([[False], walk.posed[:-1]])  # an image with a true pose
         odometry += [walk.odometry[i] if follows[i] else None for i in np.flatnonzero(walk.posed)]
     count = len(odometry)
+    points = tuple(each for walk in walks for each in walk.seen_points)
     return TrainingSet(
         np.zeros((count, 1, 1, 3), np.uint8),
         np.arange(count),
@@ -176,6 +186,7 @@ def posed_images(walks: Sequence[Walk]) -> TrainingSet | None:
         (1, 1),
         np.concatenate([walk.times_ns[walk.posed] for walk in walks]),
         tuple(odometry),
+        seen_points=points if any(points) else (),
         walks=tuple(_walk_numbers(walks)),
         numbers=np.concatenate([walk.numbers[walk.posed] for walk in walks]),
     )

@@ -201,7 +201,7 @@ def _coverage(coverage: Coverage) -> Iterator[str]:
     segments = [segment for segment in coverage.alone() if all(storey.number != segment.storey for storey in lacking)]
     if alone > _ALONE and segments:
         whose = "no other recording shows" if coverage.by_recordings else "no other pass shows"
-        sentence = f"walk once more where {whose} what {100 * alone:.0f} % of the images do: {_first(segments)}"
+        sentence = f"walk again over what {whose}, {100 * alone:.0f} % of the images: {_first(segments)}"
         if alone > _MOST:
             sentence += (
                 "; until then `train` can tell errors only on images close to those that it is trained on, not on"

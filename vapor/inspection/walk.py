@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float64, Int64, UInt8
 
 from filtering.motion import Odometry
 from filtering.se3 import Poses
+from sequences.datasets.points import SeenPoints
 from sequences.frame import Frame
 from vapor.training_data.checks import Colours
 from vapor.training_data.views import ViewCheck, Views
@@ -73,9 +74,10 @@ class Walk:
         self._numbers: list[int] = []
         self._looks: list[tuple[float, ...]] = []
         self._poses: list[Poses | None] = []
+        self._points: list[SeenPoints | None] = []
 
-    def take(self, frame: Frame) -> None:
-        """The next image."""
+    def take(self, frame: Frame, points: SeenPoints | None = None) -> None:
+        """The next image, and the points of a reconstruction that it shows."""
         self.sizes[frame.image.shape[1], frame.image.shape[0]] += 1
         self.odometry.append(frame.odometry)
         self.views.take(frame)
@@ -84,6 +86,7 @@ class Walk:
         self._times_ns.append(frame.time_ns)
         self._looks.append(look_at(frame.image))
         self._poses.append(frame.world_from_camera)
+        self._points.append(points)
 
     def __len__(self) -> int:
         return len(self._times_ns)
@@ -113,6 +116,11 @@ class Walk:
         """The k true poses, world_from_camera."""
         known = [pose for pose in self._poses if pose is not None]
         return Poses.stack(known) if known else Poses.identity(0)
+
+    @property
+    def seen_points(self) -> list[SeenPoints | None]:
+        """Points of a reconstruction that each of the k images with a true pose shows."""
+        return [each for each, posed in zip(self._points, self.posed, strict=True) if posed]
 
     @cached_property
     def checks(self) -> list[ViewCheck]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from filtering.se3 import Poses
 
@@ -26,7 +26,7 @@ def said_of_trained_images(truth: Sequence[Poses | None], trained: Poses) -> str
         return None
     size = max(1.0, float(np.abs(trained.translation).max()))
     poses, remembered = (_numbers(each, size) for each in (Poses.stack(known), trained))
-    count = int((cKDTree(remembered).query(poses, p=np.inf)[0] < _SAME).sum())
+    count = int((KDTree(remembered).query(poses, p=np.inf)[0] < _SAME).sum())
     if not count:
         return None
     return (

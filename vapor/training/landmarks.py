@@ -13,7 +13,7 @@ from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from filtering.training_prior import TrainingPrior
 from vapor.calibration.calibrate import NUM_SAMPLES
-from vapor.calibration.camera_fit import fit_camera
+from vapor.calibration.camera_fit import fit_camera, material_of
 from vapor.calibration.error_correlation import (
     LEAST_IMAGES,
     ErrorCorrelation,
@@ -27,7 +27,7 @@ from vapor.checkpoints.calibration import Calibration
 from vapor.checkpoints.scene_scale import log_clutter_density, spaced
 from vapor.evaluation.seen_images import describe_images
 from vapor.evaluation.validation import predict
-from vapor.landmarks.build import Advance, BuiltMap, Material, build, gather
+from vapor.landmarks.build import Advance, BuiltMap, Material, build
 from vapor.landmarks.landmark_map import ViewCamera
 from vapor.landmarks.localize import LandmarkLocalizer, VerifiedPose
 from vapor.landmarks.verify import Verification
@@ -36,7 +36,7 @@ from vapor.regressors.ood_model import OodModel
 from vapor.tracking.follow import posterior_of
 from vapor.training.config import CameraChoice, TrainConfig
 from vapor.training.holding_out import Split
-from vapor.training_data.ground import near_scale_m, pass_numbers
+from vapor.training_data.ground import pass_numbers
 from vapor.training_data.training_set import TrainingSet
 
 _NONE = "no landmarks: {}; places stay as coarse as the network's"
@@ -82,16 +82,7 @@ def find_landmarks(
     """
     if images.view_camera is None or not len(images.views):
         return None, ()
-    material = gather(
-        lambda image: images.views[images.rows[image]],
-        images.poses,
-        images.view_camera,
-        sequence=images.sequence,
-        stated=images.camera is not None,
-        scale_m=near_scale_m(images.poses),
-        given=lambda image: images.seen_points[images.rows[image]] if images.seen_points else None,
-        advance=advance,
-    )
+    material = material_of(images, advance)
     if material is None:
         return None, (_NONE.format("no two images show the same from two sides"),)
     built, notes = _best_map(material, choice, images.camera_size[0])

@@ -100,8 +100,9 @@ def require_no_leakage(data: Sequence[Path | str], held_out: Sequence[Path | str
         else:
             shared = not files(entry).isdisjoint(files(other))
         if shared:
-            why = "each image once" if held_out is None else "none of the images that are trained on to be held out"
-            raise TrainingError(f"{other}: shares images with {entry}, expected {why}")
+            raise TrainingError(
+                f"{other}: shares images with {entry}; expected each image once, trained on or held out"
+            )
 
 
 def _source(entry: Path | str) -> tuple[Path, slice]:

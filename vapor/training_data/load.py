@@ -208,6 +208,11 @@ class GreyViews:
         self._file.write(grey_view(self._as_taken(frame.image, frame.camera), self.camera).data)
         self._count += 1
 
+    @property
+    def others(self) -> int:
+        """How many of the images were resampled, as of another camera."""
+        return 0 if self._as_taken is None else self._as_taken.cameras.total()
+
     def kept(self) -> UInt8[np.ndarray, "m h w"]:
         """All of them, mapped into memory."""
         assert self.camera is not None  # known from the first image on

@@ -46,7 +46,8 @@ def test_a_killed_map_leaves_nothing_and_the_next_one_makes_it(images, tmp_path,
     assert "--distance-m states one distance" in out
     for stage in ("choosing images", "finding features", "matching pairs", "placing images"):
         assert f"{stage}: " in err
-    assert main(["inspect", str(tmp_path / "place")]) == 0
+    assert main(["inspect", str(tmp_path / "place")]) == 1
+    assert "1. record more: 10 images with true poses" in capsys.readouterr().out  # all else is well
 
 
 def test_without_pycolmap_one_line_names_the_extra(images, tmp_path, capsys, monkeypatch):
@@ -72,5 +73,5 @@ def test_commands_that_need_poses_name_map(images, tmp_path, capsys, monkeypatch
         refuse(words, capsys, f"`vapor-track map {path} --output place/` makes them", "true poses")
     for path in (video, images):
         refuse(["inspect", str(path)], capsys, f"`vapor-track map {path} --output place/` makes them")
-    assert main(["inspect", str(robot)]) == 0
+    assert main(["inspect", str(robot)]) == 1
     assert f"`vapor-track map {robot} --output place/` makes them" in capsys.readouterr().out.replace("\n", " ")

@@ -10,11 +10,15 @@ import pytest
 from filtering.se3 import Poses
 from sequences.frame import Frame
 from sequences.writer import SequenceWriter
+from tests.helpers.corridors import recorded
 from tests.helpers.inspected import BEGIN_NS, only
 from tests.helpers.textured_room import CAMERA, Room, walk
 from vapor.commands.inspect import parts
 from vapor.inspection.camera import CameraViews
 from vapor.inspection.inspect import inspect
+from vapor.training.landmarks import find_landmarks
+from vapor.training_data.entries import open_sequences
+from vapor.training_data.load import load_training_set
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 
@@ -36,8 +40,8 @@ def _checked(room, poses, *, stated, image=None):
     views = CameraViews()
     for number, pose in enumerate(poses[i] for i in range(len(poses))):
         shown = room.view(pose) if image is None else image
-        views.take(Frame(number, shown, None, pose, stated))
-    return views.check()
+        views.take(Frame(number, shown, None, pose, stated), number)
+    return views.check(recorded(poses))
 
 
 def test_intrinsics_that_are_right_are_not_doubted(room):
@@ -75,7 +79,7 @@ def test_what_tells_nothing_of_a_camera_is_no_failure(room):
     turned = walk(20, moves=False)
     others = Poses(np.swapaxes(turned.rotation, 1, 2), walk(20, seed=3).translation)
     for found in (
-        CameraViews().check(),
+        CameraViews().check(None),
         _checked(room, walk(20)[:1], stated=CAMERA),
         _checked(room, walk(20), stated=CAMERA, image=white),
         _checked(room, turned, stated=CAMERA),
@@ -89,26 +93,34 @@ def test_what_tells_nothing_of_a_camera_is_no_failure(room):
         assert set(found.as_json()) == {"images", "unknown"}
 
 
-def test_of_a_long_recording_runs_are_looked_at_that_are_spread_over_it():
-    views, image = CameraViews(), np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8)
-    for number in range(5000):
-        views.take(Frame(number, image, None, Poses.identity(), CAMERA))
-    kept = np.array([view.number for view in views._views])
-    assert 150 <= len(kept) <= 300
-    runs = np.split(kept, np.flatnonzero(np.diff(kept) > 1) + 1)
-    assert {len(run) for run in runs[:-1]} == {30}
-    assert np.diff([run[0] for run in runs]).std() == 0.0
-    assert kept[-1] > 4000
+def test_what_is_said_of_the_camera_is_what_a_training_says(room, tmp_path):
+    path, poses = tmp_path / "w.mcap", Poses.concatenate([walk(40), walk(20, seed=4)])
+    wrong = replace(CAMERA, fx=0.93 * CAMERA.fx, fy=0.93 * CAMERA.fy)
+    with SequenceWriter(path, camera=wrong, base_from_camera=Poses.identity(), metadata={}) as writer:
+        for i in range(len(poses)):
+            writer.write_image(BEGIN_NS + i * 10**8, room.view(poses[i]))
+            writer.write_true_pose(BEGIN_NS + i * 10**8, poses[i])
+    data = [f"{path}@5:40", f"{path}@40:"]
+    (check,) = inspect(data).cameras.values()
+    images = load_training_set(open_sequences(data), (32, 32), views=True)
+    _, notes = find_landmarks(images, "auto")
+    assert check.fit.errors_m is not None
+    assert f"camera: {check.in_words}" in notes[0]
 
 
-def test_where_none_are_stated_of_most_images_those_that_fit_these_are_said(room):
+def test_images_of_other_intrinsics_are_resampled_as_for_a_training(room):
     views, poses = CameraViews(), walk(40)
     zoomed = replace(CAMERA, fx=300.0, fy=300.0)
     for number in range(40):
-        stated = zoomed if number < 8 else None
-        views.take(Frame(number, room.view(poses[number], stated or CAMERA), None, poses[number], stated))
-    found = views.check()
-    assert (found.images, found.of_all) == (32, False)
+        stated = zoomed if number % 5 == 4 else CAMERA
+        views.take(Frame(number, room.view(poses[number], stated), None, poses[number], stated), number)
+    found = views.check(recorded(poses))
+    assert (found.images, found.of_all) == (40, False)
+    assert found.found.fx == pytest.approx(CAMERA.fx, rel=0.02)
+
+
+def test_where_none_are_stated_those_that_fit_are_said(room):
+    found = _checked(room, walk(40), stated=None)
     assert found.found.fx == pytest.approx(CAMERA.fx, rel=0.02)
     assert found.in_words.startswith("no focal length is stated, ")
     assert not found.disagrees

@@ -10,6 +10,9 @@ import pytest
 from filtering.measurement_noise import MeasurementNoise
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
+from sequences.datasets.frames import posed_frames
+from sequences.errors import SequenceError
+from sequences.options import SequenceOptions
 from sequences.reading.counts import OUTSIDE
 from tests.helpers.corridors import corridor
 from tests.helpers.data_sets import make_colmap, make_tum
@@ -78,6 +81,51 @@ def test_recordings_most_images_of_which_show_nothing_are_not_good_enough_and_th
         assert found.verdict.answer.startswith("Good enough" if good_enough else "Not good enough")
 
 
+@pytest.mark.usefixtures("unchecked", "no_views", "no_camera")
+def test_images_of_a_part_have_their_numbers_in_the_recording(tmp_path):
+    black = [scenery(i) // (100 if i < 60 else 1) for i in range(120)]
+    path = write(tmp_path / "w.mcap", walked(), image=lambda i: black[i if i < 100 else max(i, 110)])
+    found = inspect([f"{path}@70:"])
+    assert found.coverage is not None
+    segments = found.coverage.alone()
+    assert segments
+    assert all(70 <= segment.first <= segment.last <= 119 for segment in segments)
+    assert max(segment.last for segment in segments) == 119
+    assert found.walks[0].frozen == [(100, 110)]
+    only(found, "repeat the one before, such as 100 to 110")
+
+
+def test_images_of_a_part_of_a_data_set_have_their_numbers_in_it(tmp_path):
+    (walk,) = read_walks([f"{make_tum(tmp_path / 'desk')}@4:8"])
+    assert walk.numbers.tolist() == [4, 5, 6, 7]
+    images = posed_images([walk])
+    assert images is not None
+    assert images.number.tolist() == [4, 5, 6, 7]
+
+
+def test_parts_that_share_images_are_refused_as_by_train(tmp_path, capfd):
+    data = make_tum(tmp_path / "desk")
+    for command in (["inspect"], ["train", "--output", str(tmp_path / "m.safetensors")]):
+        assert main([*command, f"{data}@:6", f"{data}@4:"]) == 1
+        said = f"{data}@4:: shares images with {data}@:6; expected each image once, trained on or held out"
+        assert said in capfd.readouterr().err
+
+
+@pytest.mark.usefixtures("unchecked", "no_views", "no_camera")
+@pytest.mark.parametrize("recorded", [False, True])
+def test_a_range_beyond_the_end_is_said_and_one_wholly_beyond_refused(recorded, tmp_path, walk_of_25):
+    data, count = (walk_of_25, 25) if recorded else (make_tum(tmp_path / "desk"), 10)
+    found = inspect([f"{data}@4:900"])
+    said = f"images 4:900 were asked for, and there are {count}, numbered 0 to {count - 1}: 4 to {count - 1} were taken"
+    assert found.walks[0].source.notices.count(f"{data}: {said}") == 1
+    assert not any("were asked for" in each for each in inspect([f"{data}@4:{count}"]).walks[0].source.notices)
+    frames = posed_frames(data, frames=slice(4, 900))
+    assert [frame.number for frame in frames] == list(range(4, count))
+    assert frames.notices.count(f"{data}: {said}") == 1
+    with pytest.raises(SequenceError, match="no image"):
+        inspect([f"{data}@800:900"])
+
+
 # --- recordings that lack something --------------------------------------------------------------------
 
 
@@ -97,6 +145,38 @@ def test_without_true_poses_all_else_is_said_and_what_to_give(tmp_path):
     assert len(found.walks[0]) == 30
     assert found.verdict.points[0].startswith("give w.mcap true poses, which `train` needs: no ")
     json.dumps(found.as_json(), allow_nan=False)
+
+
+def test_few_images_without_true_poses_are_said_to_be_few(tmp_path):
+    found = inspect([write(tmp_path / "w.mcap", None, count=3)])
+    only(found, "record more: 3 images, expected some hundreds at least")
+
+
+def test_odometry_that_is_recorded_and_cannot_be_used_is_not_said_to_be_absent(tmp_path, capfd):
+    path = write(tmp_path / "w.mcap", walked(12))
+    path = rewrite(path, tmp_path / "loose.mcap", keep=lambda topic, _: topic != "/tf_static")
+    found = inspect([path])
+    sentence = only(found, "odometry of loose.mcap")
+    assert sentence.startswith("make the odometry of loose.mcap usable, 12 messages of /odom: no transform from ")
+    assert "`run --odometry visual` makes it from the images" in sentence
+    none = inspect([rewrite(path, tmp_path / "none.mcap", keep=lambda topic, _: topic != "/odom")])
+    sentence = only(none, "odometry")
+    assert sentence.startswith("record odometry too: none in none.mcap (")
+    assert sentence.endswith("; training does without, and `run` makes it from the images, less exactly")
+
+
+def test_the_command_that_makes_poses_names_the_camera_that_was_named(tmp_path):
+    path = write(tmp_path / "w.mcap", None, count=3)
+    found = inspect([path], SequenceOptions(image_topic="/camera/image/compressed"))
+    only(found, f"`vapor-track map {path} --image-topic /camera/image/compressed --output place/` makes them")
+
+
+@pytest.mark.usefixtures("unchecked", "no_views", "no_camera")
+def test_ground_that_is_shown_once_is_told_to_be_walked_again_with_what_that_means_for_train(tmp_path):
+    once = inspect([write(tmp_path / "once.mcap", corridor(0, 20))])
+    sentence = only(once, "walk again over what no other pass shows, 100 % of the images: once.mcap: images 0 to 199")
+    assert sentence.endswith("only on images close to those that it is trained on, not on another walk")
+    assert once.verdict.answer == "Good enough to train on; the points say what would make a better model"
 
 
 @pytest.mark.parametrize("count", [1, 10])
@@ -146,7 +226,7 @@ def test_images_are_counted_as_a_run_counts_them(walk_of_25, tmp_path, capfd):
         tmp_path / "w.mcap",
         data=lambda topic, time_ns, data: b"" if topic.startswith("/camera/image") and time_ns == damaged else data,
     )
-    assert main(["inspect", str(path)]) == 0
+    assert main(["inspect", str(path)]) == 1
     said = capfd.readouterr().out
     assert "images     25 stated, 25 read, 24 used, 1 skipped" in said
     assert "skipped 1: undecodable image" in said
@@ -223,8 +303,9 @@ def test_dim_images_poses_in_millimetres_and_swapped_colours_are_said(tmp_path):
 
 def test_the_command_writes_report_and_map_and_says_its_verdict(tmp_path, tiny_model, walk_of_25, capfd):
     words = ["inspect", str(walk_of_25), "--output", str(tmp_path / "out" / "deeper")]
-    assert main([*words, "--model", str(tiny_model)]) == 0
-    said = capfd.readouterr().out
+    assert main([*words, "--model", str(tiny_model)]) == 1
+    said, err = capfd.readouterr()
+    assert err.endswith("\nvapor-track inspect: not good enough to train on yet: 1 point to put right\n")
     assert "Verdict" in said
     assert "Not good enough to train on yet: put right the first " in said
     assert "1. record more: 25 images with true poses" in said
@@ -244,14 +325,14 @@ def test_the_command_records_cameras_images_and_predictions_in_space_unless_told
     tmp_path, tiny_model, walk_of_25, capfd
 ):
     words = ["inspect", str(walk_of_25), "--output", str(tmp_path / "out")]
-    assert main([*words, "--model", str(tiny_model)]) == 0
+    assert main([*words, "--model", str(tiny_model)]) == 1
     assert f"rerun {tmp_path / 'out' / 'recording.rrd'}" in capfd.readouterr().out
     entities = entities_of(tmp_path / "out" / "recording.rrd")
     assert {f"/world/images/{number}" for number in range(25)} <= entities
     assert "/world/cameras/1_pass" in entities
     assert {"/world/model/right", "/world/model/wrong"} & entities
     assert "/legend" in entities
-    assert main([*words, "--no-recording"]) == 0
+    assert main([*words, "--no-recording"]) == 1
     assert "rerun" not in capfd.readouterr().out
     assert not (tmp_path / "out" / "recording.rrd").exists()
 
@@ -259,14 +340,14 @@ def test_the_command_records_cameras_images_and_predictions_in_space_unless_told
 def test_the_recording_holds_the_sparse_points_of_a_colmap_model(tmp_path):
     root = make_colmap(tmp_path / "scene", "sparse", "images")
     (root / "sparse" / "points3D.txt").write_text("1 0.5 1 1.5 10 20 30 0.5 1 0\n")
-    assert main(["inspect", str(root), "--output", str(tmp_path / "out")]) == 0
+    assert main(["inspect", str(root), "--output", str(tmp_path / "out")]) == 1
     assert "/world/place/points/0" in entities_of(tmp_path / "out" / "recording.rrd")
 
 
 @pytest.mark.usefixtures("unchecked", "no_views")
 def test_the_table_of_recordings_fits_80_columns(tmp_path, capfd, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
-    assert main(["inspect", str(make_tum(tmp_path / ("a-long-name-of-a-walk-" * 3)))]) == 0
+    assert main(["inspect", str(make_tum(tmp_path / ("a-long-name-of-a-walk-" * 3)))]) == 1
     out = capfd.readouterr().out
     assert "…" not in out
     table = [line for line in out.splitlines() if set("│┃┏┡└") & set(line)]
