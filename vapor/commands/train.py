@@ -18,7 +18,7 @@ from sequences.outputs import refuse_other
 from vapor.allocation import keep_freed_memory
 from vapor.checkpoints.file_format import is_model
 from vapor.commands.console import OutputPath, Overwrite, parse, show, show_notices, show_skipped, usage_error
-from vapor.commands.progress import Progress, progress
+from vapor.commands.progress import Progress, duration, progress
 from vapor.training.config import TrainConfig
 from vapor.training.presets import METHODS, PRESETS
 from vapor.training_data.entries import files_read
@@ -80,8 +80,8 @@ class Options:
     validation: Annotated[tuple[str, ...], tyro.conf.arg(metavar="DATA ...")] = ()
     """Held-out data, of other images. Default: passes over ground that other passes cover."""
     preset: Preset = "auto"
-    """Named settings; other options change single ones of them. auto: suits the data, and takes a quarter of an hour at
-    most. demo: the network of the models that ship. tables: small and fast, for the scenes of that name. paper-...: the
+    """Named settings; other options change single ones of them. auto: suits the data, and takes a minute for some
+    hundred images and mostly a quarter of an hour at most. demo: the network of the models that ship. tables: small and fast, for the scenes of that name. paper-...: the
     paper's."""
     method: Method = None
     """The regressor and its loss. Default: the preset's: retrieval for auto, variational for all others."""
@@ -151,6 +151,11 @@ def _show_progress(shown: Progress, now: Where) -> None:
     shown.at(now.stage, now.done, now.total, unit="images" if now.loss is None else "steps", figures=figures)
     for note in now.notes:
         shown.note(note)
+    if now.expected_s is not None:
+        shown.note(
+            f"{now.epochs} epochs will take about {duration(now.expected_s)}, by the time of some steps; then come"
+            " landmarks and calibration"
+        )
 
 
 def _summary(result: TrainResult, output: Path) -> str:

@@ -32,7 +32,8 @@ class TrainConfig:
     """
 
     hours: float = 0.2
-    """Duration of the training, hours, unless `epochs` is given; the time of a step is measured first."""
+    """Upper bound of the training's duration, hours, unless `epochs` is given; the time of a step is measured first,
+    and `train` says how long it will take. Landmarks and calibration come on top."""
     epochs: int | None = None
     """Number of passes over the training images. Default: as many as `hours` allow, from 4 to `most_epochs`."""
     landmarks: bool = True

@@ -28,6 +28,8 @@ class Progress:
         loss: Mean training loss of this epoch so far.
         validation: Figures of the last epoch that was evaluated.
         notes: The choice of held-out images with its reasons, once before the first step.
+        expected_s: Seconds that all epochs will take, as measured by some steps, once before the first one; None
+            where the number of epochs was given.
     """
 
     stage: Literal[
@@ -40,6 +42,7 @@ class Progress:
     loss: float | None = None
     validation: Validation | None = None
     notes: tuple[str, ...] = ()
+    expected_s: float | None = None
 
 
 @dataclass(frozen=True)

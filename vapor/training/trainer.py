@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import replace
 from time import perf_counter
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -157,8 +158,15 @@ def weights_of(network: PoseRegressor) -> dict[str, torch.Tensor]:
     return {name: value.detach().cpu().clone() for name, value in network.state_dict().items()}
 
 
-def fitting_epochs(state: TrainingState, split: Split, evaluated: int, config: TrainConfig) -> int:
-    """Number of epochs that fit into the configured hours, evaluation and finishing included.
+class Planned(NamedTuple):
+    """The number of epochs of a training, and the seconds that they are expected to take by some first steps."""
+
+    epochs: int
+    seconds: float
+
+
+def planned_epochs(state: TrainingState, split: Split, evaluated: int, config: TrainConfig) -> Planned:
+    """Number of epochs that fit into the configured hours, evaluation and finishing included, and their duration.
 
     The state before the first step is left as it is. `evaluated` is the number of held-out images of an evaluation.
     """
@@ -178,7 +186,8 @@ def fitting_epochs(state: TrainingState, split: Split, evaluated: int, config: T
         extraction, evaluation = per_pass * len(split.everything) * (2 + varied), 0.0  # evaluation is quick then
     spared = np.array([_spared(replace(config, epochs=n)) for n in range(1, most + 1)]) * len(training)
     seconds = extraction + per_image * (epochs * (len(training) + more + evaluation) - spared)
-    return max(min(_FEWEST, most), int((seconds <= 3600.0 * config.hours).sum()))
+    found = max(min(_FEWEST, most), int((seconds <= 3600.0 * config.hours).sum()))
+    return Planned(found, float(seconds[found - 1]))
 
 
 def _spared(config: TrainConfig) -> float:

@@ -144,10 +144,10 @@ def test_a_table_is_not_judged_by_images_that_it_trains_on(tmp_path):
     scene, config = make_7scenes(tmp_path / "chess"), replace(TINY_TABLE, localize=False)
     (scene / "TrainSplit.txt").write_text("sequence1\n")
     one = scene / "seq-01"
-    with pytest.raises(VaporTrackError, match="seq-01@7:: shares images with .*TrainSplit.txt; expected"):
+    with pytest.raises(VaporTrackError, match=r"seq-01@7:: shares images with .*TrainSplit\.txt; expected"):
         check_scenes([parse_scene(f"desk={scene}/TrainSplit.txt={one}@7:")], config)
     twice, held_out = f"desk={one}@:5,{one}@4:5={one}@5:9", replace(config.train, validation_fraction=0.2)
-    with pytest.raises(VaporTrackError, match="seq-01@4:5: shares images with .*seq-01@:5; expected"):
+    with pytest.raises(VaporTrackError, match=r"seq-01@4:5: shares images with .*seq-01@:5; expected"):
         check_scenes([parse_scene(twice)], replace(config, train=held_out))
     check_scenes([parse_scene(twice)], config)  # of which nothing is held out
     check_scenes([parse_scene(f"desk={one}@0:5,{one}@9:={one}@5:9")], config)

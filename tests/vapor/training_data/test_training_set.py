@@ -84,7 +84,7 @@ def test_images_that_are_trained_on_are_not_taken_for_held_out_ones(tmp_path, mo
         ([f"{recording}@:9", recording], []),  # of both the last part is held out
     ):
         with pytest.raises(
-            TrainingError, match="shares images with .*; expected each image once, trained on or held out"
+            TrainingError, match=r"shares images with .*; expected each image once, trained on or held out"
         ):
             train(data, tmp_path / "model.safetensors", TINY, validation=held_out)
     require_no_leakage([f"{recording}@:9", scene / "seq-01"], [f"{recording}@9:"])
