@@ -88,12 +88,11 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def show_calibration(result: CalibrationResult) -> None:
-    """Print changes and gain of each fit, and the fraction of true poses in the regions of single images."""
+    """Print changes and gain of each fit, how often the best place is right, and what else was found."""
     if result.changes:
-        images = f"{result.images} held-out images, worth {result.effective_images:.0f} independent ones"
-        table = Table(title=f"calibration on {images}", title_justify="left")
+        table = Table(title=f"calibration on {_images(result)}", title_justify="left")
         table.add_column("setting", no_wrap=True)
-        for name in ("before", "after", "gain, nats an image"):
+        for name in ("before", "after", "gain in log likelihood, nats an image"):
             table.add_column(name)
         for change in result.changes:
             gain = "" if change.gain is None else f"{change.gain:+.3f}"
@@ -102,22 +101,31 @@ def show_calibration(result: CalibrationResult) -> None:
                 gain = ""
             table.add_section()
         show(table)
+    if result.reliability is not None:
+        show(_reliability_table(result.reliability))
+        show(
+            "how far the weights of two places of an image tell which is right (1: by their ratio, 0: not at all):"
+            f" {result.weight_power:.2f} of a single image, {result.calibration.errors.weight_power:.2f} along a walk"
+        )
+    show_errors(result)
+
+
+def show_errors(result: CalibrationResult) -> None:
+    """Print how many of the true poses are in the regions of single images, the noise of odometry, and notes."""
     from vapor.calibration.places import REGIONS
 
     if result.coverage is not None:
         found = ", ".join(f"{100 * fraction:.0f} %" for fraction in result.coverage)
         levels = ", ".join(f"{100 * level:.0f}" for level in REGIONS)
-        show(f"true poses in the {levels} % regions of single images: {found}")
-    if result.reliability is not None:
-        show(_reliability_table(result.reliability))
-        show(
-            f"the log ratio of two weights of a single image is worth {result.weight_power:.2f} of itself, along a walk"
-            f" {result.calibration.errors.weight_power:.2f}"
-        )
+        show(f"true poses in the {levels} % regions of single images: {found}, on {_images(result)}")
     if result.calibration.odometry is not None and result.odometry != "none":
         show(f"{result.odometry}: {result.calibration.odometry}")
     for note in result.notes:
         show(f"calibration: {note}")
+
+
+def _images(result: CalibrationResult) -> str:
+    return f"{result.images} held-out images, worth {result.effective_images:.0f} independent ones"
 
 
 def _reliability_table(found: Reliability) -> Table:

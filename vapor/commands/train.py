@@ -108,7 +108,7 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def _train(options: Options) -> None:
-    from vapor.commands.calibrate import show_calibration
+    from vapor.commands.calibrate import show_errors
     from vapor.training.processes import is_first
     from vapor.training.state import is_training_state, state_path
     from vapor.training.train import train
@@ -132,7 +132,7 @@ def _train(options: Options) -> None:
     if not is_first():
         return
     if result.calibration is not None:
-        show_calibration(result.calibration)
+        show_errors(result.calibration)
     if result.check is not None:
         show(_checked(result.check))
         show(result.check.verdict)
@@ -153,16 +153,19 @@ def _show_progress(shown: Progress, now: Where) -> None:
         shown.note(note)
     if now.expected_s is not None:
         shown.note(
-            f"{now.epochs} epochs will take about {duration(now.expected_s)}, by the time of some steps; then come"
-            " landmarks and calibration"
+            f"{now.epochs} epoch{'s' * (now.epochs != 1)} will take about {duration(now.expected_s)}, by the time of"
+            " some steps; then come landmarks and calibration"
         )
 
 
 def _summary(result: TrainResult, output: Path) -> str:
     size_mb = output.stat().st_size / 1e6
-    lines = [f"{output}: {size_mb:.1f} MB, {result.images_seen} images seen in {result.seconds / 60:.1f} minutes"]
+    lines = [f"{output}: {size_mb:.1f} MB, {result.images_seen} images seen in {duration(result.seconds)}"]
     if result.best is not None:
-        lines.append(f"kept epoch {result.best.epoch}; held out within 0.3 m and 20°: {_recalls(result.best)}")
+        lines.append(
+            f"kept epoch {result.best.epoch}; of {result.evaluated} held-out images {_recalls(result.best)} are within"
+            f" 0.3 m and 20°; {result.evidence}"
+        )
     return "\n".join(lines)
 
 

@@ -29,6 +29,13 @@ AWAY = 1.5  # distance from which on the camera is elsewhere, in distances that 
 _COMPARED = 4000  # images by which passes are compared
 _NAMED = 5  # recordings in a note
 _STRETCH, _IN_STRETCH = 0.7, 4  # least length of a short stretch: distance by `way_of`, and images
+_OTHER_WALKS = "they are of recordings that nothing else was learned from"
+_OTHER_PASSES = "they are other passes of the recordings that it learned from: some evidence for another walk"
+_BETWEEN = (
+    "they are of the recordings that it learned from, and taken shortly before and after images that it learned from:"
+    " little evidence for another walk"
+)
+_GIVEN = "they are of the held-out data that were given"
 
 
 @dataclass(frozen=True)
@@ -43,6 +50,7 @@ class Split:
         notes: The reasons of the choice, in sentences.
         everything: Images to learn from once the model was evaluated.
         near_m: Distance within which a place counts as shown, metres.
+        evidence: What the held-out images are of, and so what figures on them are worth; empty where there are none.
     """
 
     training: TrainingSet
@@ -51,6 +59,7 @@ class Split:
     notes: tuple[str, ...]
     everything: TrainingSet
     near_m: float
+    evidence: str = ""
 
     @cached_property
     def held_out(self) -> TrainingSet:
@@ -95,7 +104,8 @@ def hold_out(images: TrainingSet, fraction: float) -> Split:
     left = int((~training & ~held_out).sum())
     if left:
         notes.append(f"{left} images are left out, as they are next to images that are trained on or not shown by any")
-    return Split(images.select(np.flatnonzero(training)), images, held_out, tuple(notes), images, near_m)
+    evidence = _OTHER_WALKS if len(np.unique(images.walk)) >= WHOLE_OF else _OTHER_PASSES
+    return Split(images.select(np.flatnonzero(training)), images, held_out, tuple(notes), images, near_m, evidence)
 
 
 def _within_one_pass(images: TrainingSet, way: Float64[np.ndarray, " n"], fraction: float, near_m: float) -> Split:
@@ -132,14 +142,15 @@ def _within_one_pass(images: TrainingSet, way: Float64[np.ndarray, " n"], fracti
         f"held out: {held_out.sum()} images in {count} short stretches, as no pass leads over ground that another"
         f" shows, too; {(left_out & ~held_out).sum()} images about them are left out"
     )
-    return Split(images.select(np.flatnonzero(~left_out)), images, held_out, (note,), images, near_m)
+    return Split(images.select(np.flatnonzero(~left_out)), images, held_out, (note,), images, near_m, _BETWEEN)
 
 
 def within_map(training: TrainingSet, held_out: TrainingSet) -> Split:
     """Evaluate on those held-out images whose surroundings training images show."""
     shown, near_m = shown_around(held_out.poses, training.poses)
     outside = f"not evaluated on, as no training image is within {near_m:.2g} m and 45°: {_in_words(held_out, ~shown)}"
-    return Split(training, held_out, shown, () if shown.all() else (outside,), training, near_m)
+    notes = () if shown.all() else (outside,)
+    return Split(training, held_out, shown, notes, training, near_m, _GIVEN if shown.any() else "")
 
 
 def shown_by(images: TrainingSet, near_m: float) -> Bool[np.ndarray, "n r"]:

@@ -59,6 +59,8 @@ class TrainResult:
         check: The filter on the held-out passes; None without such passes, or without odometry through them.
         skipped: Number of images and poses that were skipped in reading, by reason.
         notices: Facts about the data for the user.
+        evaluated: Number of held-out images that `best` is of.
+        evidence: What these images are of, and so what figures on them are worth.
     """
 
     checkpoint: Checkpoint
@@ -70,6 +72,8 @@ class TrainResult:
     check: TrainingCheck | None = None
     skipped: Mapping[str, int] = field(default_factory=dict)
     notices: tuple[str, ...] = ()
+    evaluated: int = 0
+    evidence: str = ""
 
 
 ProgressCallback = Callable[[Progress], None]

@@ -207,6 +207,8 @@ def _train(
             found.check,
             skipped + split.held_out.skipped if apart else skipped,
             (*notices, *(split.held_out.notices if apart else ()), *too_few(split.everything), *of_landmarks),
+            len(evaluated),
+            split.evidence,
         )
     )
 

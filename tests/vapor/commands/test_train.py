@@ -1,10 +1,12 @@
 """`vapor-track train`: interrupted ones go on, and what cannot be is refused."""
 
+import re
+
 import pytest
 
 from tests.helpers.command_line import refuse, skipped_in_run
 from tests.helpers.data_sets import make_tum, write_image
-from tests.helpers.sequence_files import TRUTH, rewrite
+from tests.helpers.sequence_files import TRUTH, Walk, rewrite
 from vapor.track import main
 from vapor.training import trainer as trainer_module
 
@@ -48,6 +50,28 @@ def test_a_training_that_was_interrupted_goes_on_and_its_model_runs(walk_of_25, 
     assert {path.name for path in tmp_path.iterdir()} == {"model.safetensors"}
 
     assert skipped_in_run(walk_of_25, model, tmp_path / "out") == (25, {})
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_what_is_said_of_a_training_is_for_its_user(walk_of_25, tmp_path, capsys):
+    held_out = Walk(60).write(tmp_path / "other.mcap")
+    words = ["train", str(walk_of_25), "--validation", str(held_out), "--output", str(tmp_path / "m.safetensors")]
+    options = [word for word in TRAINING if word not in ("--epochs", "2")]
+    assert main([*words, *options, "--hours", "1e-9", "--most-epochs", "1", "--no-landmarks"]) == 0
+    out, err = capsys.readouterr()
+    assert re.search(r"^1 epoch will take about \d+ s, by the time of some steps; then come", err, re.MULTILINE)
+    assert "true poses in the 50, 90, 95 % regions of single images: " in out
+    assert "on 25 held-out images, worth " in out  # of 60, the training images show the surroundings of these
+    assert re.search(r"kept epoch 1; of 25 held-out images .* are within 0\.3 m and 20°; they are of the held", out)
+    assert not any(word in out for word in ("nats", "log ratio", "correlated_fraction"))
+
+
+def test_a_range_of_training_data_that_is_longer_than_they_are_is_said(tmp_path, capsys):
+    data = make_tum(tmp_path / "desk", num_images=10)
+    options = [*TRAINING, "--no-calibrate", "--no-landmarks", "--epochs", "1"]
+    assert main(["train", f"{data}@4:900", "--output", str(tmp_path / "m.safetensors"), *options]) == 0
+    said = "images 4:900 were asked for, and there are 10, numbered 0 to 9: 4 to 9 were taken"
+    assert said in capsys.readouterr().out
 
 
 def test_a_model_file_can_be_read_by_others_than_its_owner(tiny_model, tmp_path):

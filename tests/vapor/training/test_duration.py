@@ -88,3 +88,15 @@ def test_the_network_sees_the_camera_s_aspect_with_as_many_pixels(tmp_path):
     config = replace(TINY, aspect="camera", epochs=1)
     network = train_on_most(make_frames(24), tmp_path / "m.safetensors", config).checkpoint.network
     assert (network.image_width, network.image_height, network.shortest_edge) == (40, 32, 36)  # images are 48 x 36
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_how_long_all_epochs_will_take_is_told_before_the_first_one(tmp_path):
+    told = []
+    config = replace(TINY, epochs=None, hours=1e-9, calibrate=False, finish=0.0)
+    result = train_on(walks(), tmp_path / "m.safetensors", config, progress=told.append)
+    (planned,) = [each for each in told if each.expected_s is not None]
+    assert planned.epochs == len(result.history) == 4
+    assert planned.expected_s > 0.0
+    assert not any(each.epoch for each in told[: told.index(planned)])
+    assert result.evaluated == 24

@@ -154,3 +154,16 @@ def test_ranges_of_images_that_are_left_out_are_counted():
     assert describe_runs(five[:2], np.arange(99)) == "0 to 2 and 10 to 12"
     assert describe_runs(five[:4], np.arange(99)) == "0 to 2, 10 to 12, 20 to 22 and 1 more range"
     assert describe_runs(five, np.arange(99)).endswith("20 to 22 and 2 more ranges")
+
+
+def test_what_held_out_images_are_worth_is_said():
+    once, walks = recorded(corridor(0, 200)), stairwell()
+    there_and_back = recorded(Poses.concatenate([corridor(0, 40), corridor(40, 0, y_m=0.2)]))
+    worth = [hold_out(images, 0.15).evidence for images in (walks, there_and_back, once)]
+    assert [each.split(":")[-1].strip() for each in worth] == [
+        "they are of recordings that nothing else was learned from",
+        "some evidence for another walk",
+        "little evidence for another walk",
+    ]
+    assert within_map(walks, walks).evidence == "they are of the held-out data that were given"
+    assert hold_out(recorded(corridor(0, 2)), 0.15).evidence == ""
