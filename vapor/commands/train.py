@@ -81,8 +81,8 @@ class Options:
     """Held-out data, of other images. Default: passes over ground that other passes cover."""
     preset: Preset = "auto"
     """Named settings; other options change single ones of them. auto: suits the data, and takes a minute for some
-    hundred images and mostly a quarter of an hour at most. demo: the network of the models that ship. tables: small and fast, for the scenes of that name. paper-...: the
-    paper's."""
+    hundred images and mostly a quarter of an hour at most. demo: the network of the models that ship. tables: small and
+    fast, for the scenes of that name. paper-...: the paper's."""
     method: Method = None
     """The regressor and its loss. Default: the preset's: retrieval for auto, variational for all others."""
     config: Annotated[TrainConfig, tyro.conf.arg(name="")] = PRESETS["auto"]

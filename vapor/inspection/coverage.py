@@ -88,7 +88,8 @@ def in_axes(vector: Float64[np.ndarray, "3"]) -> str:
 
 def height(low_m: float, high_m: float) -> str:
     """A range of heights in words."""
-    return f"height {low_m:.1f} m" if high_m - low_m < 0.05 else f"height {low_m:.1f} to {high_m:.1f} m"
+    low, high = (f"{round(each, 1) + 0.0:.1f}" for each in (low_m, high_m))  # no minus before a zero
+    return f"height {low} m" if high_m - low_m < 0.05 else f"height {low} to {high} m"
 
 
 class Coverage:

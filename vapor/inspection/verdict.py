@@ -13,6 +13,7 @@ from vapor.inspection.coverage import Coverage
 from vapor.inspection.odometry import OdometryCheck
 from vapor.inspection.predictions import Predictions
 from vapor.inspection.walk import Walk
+from vapor.training.holding_out import BETWEEN
 from vapor.training_data.checks import said_of_bluish_colours, said_of_swapped_colours
 from vapor.training_data.views import said_of_views
 
@@ -201,13 +202,10 @@ def _coverage(coverage: Coverage) -> Iterator[str]:
     segments = [segment for segment in coverage.alone() if all(storey.number != segment.storey for storey in lacking)]
     if alone > _ALONE and segments:
         whose = "no other recording shows" if coverage.by_recordings else "no other pass shows"
-        sentence = f"walk again over what {whose}, {100 * alone:.0f} % of the images: {_first(segments)}"
-        if alone > _MOST:
-            sentence += (
-                "; until then `train` can tell errors only on images close to those that it is trained on, not on"
-                " another walk"
-            )
-        yield sentence
+        until = ""
+        if coverage.split.evidence == BETWEEN:
+            until = "; until then `train` finds errors only between images that it learned from, not on another walk"
+        yield f"walk again over what {whose}, {100 * alone:.0f} % of the images: {_first(segments)}{until}"
 
 
 def _images(walk: Walk) -> Iterator[tuple[float, str]]:

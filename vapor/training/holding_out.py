@@ -31,10 +31,11 @@ _NAMED = 5  # recordings in a note
 _STRETCH, _IN_STRETCH = 0.7, 4  # least length of a short stretch: distance by `way_of`, and images
 _OTHER_WALKS = "they are of recordings that nothing else was learned from"
 _OTHER_PASSES = "they are other passes of the recordings that it learned from: some evidence for another walk"
-_BETWEEN = (
+BETWEEN = (
     "they are of the recordings that it learned from, and taken shortly before and after images that it learned from:"
     " little evidence for another walk"
 )
+"""`Split.evidence` of the middles of short stretches."""
 _GIVEN = "they are of the held-out data that were given"
 
 
@@ -142,7 +143,7 @@ def _within_one_pass(images: TrainingSet, way: Float64[np.ndarray, " n"], fracti
         f"held out: {held_out.sum()} images in {count} short stretches, as no pass leads over ground that another"
         f" shows, too; {(left_out & ~held_out).sum()} images about them are left out"
     )
-    return Split(images.select(np.flatnonzero(~left_out)), images, held_out, (note,), images, near_m, _BETWEEN)
+    return Split(images.select(np.flatnonzero(~left_out)), images, held_out, (note,), images, near_m, BETWEEN)
 
 
 def within_map(training: TrainingSet, held_out: TrainingSet) -> Split:

@@ -175,7 +175,7 @@ def test_the_command_that_makes_poses_names_the_camera_that_was_named(tmp_path):
 def test_ground_that_is_shown_once_is_told_to_be_walked_again_with_what_that_means_for_train(tmp_path):
     once = inspect([write(tmp_path / "once.mcap", corridor(0, 20))])
     sentence = only(once, "walk again over what no other pass shows, 100 % of the images: once.mcap: images 0 to 199")
-    assert sentence.endswith("only on images close to those that it is trained on, not on another walk")
+    assert sentence.endswith("finds errors only between images that it learned from, not on another walk")
     assert once.verdict.answer == "Good enough to train on; the points say what would make a better model"
 
 
