@@ -34,10 +34,13 @@ class Pace:
         self._points: deque[tuple[float, int]] = deque()  # time and number done, from half of the time on and one more
 
     def reach(self, done: int) -> None:
-        """So many are done now."""
+        """So many are done now; fewer than before are those of another task."""
+        now_s, points = self._clock(), self._points
+        if points and done < points[-1][1]:
+            points.clear()
+            self.begin_s = now_s
         if not done:
             return
-        now_s, points = self._clock(), self._points
         if len(points) > 2 and now_s - points[-2][0] < _SAMPLE_S:
             points.pop()
         points.append((now_s, done))
@@ -68,20 +71,34 @@ class Progress:
         self._name, self._unit, self._console, self._clock = name, unit, console, clock
         self.at_terminal = console.is_interactive and console.file.isatty()
         self._stage, self._figures, self._done, self._total = name, "", 0, None
+        self._left: tuple[float, float] | None = None  # seconds that are known to be left, and since when
         self._pace, self._logged_s = Pace(clock), clock()
 
     def __call__(self, done: int, total: int | None) -> None:
         """So many of all are done."""
         self._reach(done, None if total is None else max(done, total))
 
-    def at(self, stage: str, done: int, total: int | None, *, unit: str | None = None, figures: str = "") -> None:
-        """So many units of a stage are done, of a total that may be unknown; further figures stand behind."""
+    def at(
+        self,
+        stage: str,
+        done: int,
+        total: int | None,
+        *,
+        unit: str | None = None,
+        figures: str = "",
+        left_s: float | None = None,
+    ) -> None:
+        """So many units of a stage are done, of a total that may be unknown; further figures stand behind.
+
+        The time left is by the pace so far, unless it is given, seconds.
+        """
         stage = f"{self._name}, {stage}" if self._name else stage
         if stage != self._stage:
             self.end()
             self._stage, self._done, self._pace = stage, 0, Pace(self._clock)
             self._log(stage)
         self._unit, self._figures = self._unit if unit is None else unit, figures
+        self._left = None if left_s is None else (left_s, self._clock())
         self._reach(done, total)
 
     def note(self, text: str) -> None:
@@ -106,7 +123,7 @@ class Progress:
             parts[0] += f" in {duration(self._pace.seconds)}"
         elif self._total:
             parts.append(f"{100 * self._done // self._total} %")
-            left_s = self._pace.left_s(self._total)
+            left_s = self._left_s(self._total)
             parts += [] if left_s is None else [f"about {duration(left_s)} left"]
         return ", ".join([*parts, *([self._figures] if self._figures else [])])
 
@@ -119,6 +136,12 @@ class Progress:
         total = None if self._total is None else max(self._total, 1)
         shown.add_row(ProgressBar(total, self._done, width=_BAR, pulse=total is None), text)
         return shown
+
+    def _left_s(self, total: int) -> float | None:
+        if self._left is None:
+            return self._pace.left_s(total)
+        left_s, since_s = self._left
+        return max(left_s - (self._clock() - since_s), 0.0)
 
     def _reach(self, done: int, total: int | None) -> None:
         self._done, self._total = done, total

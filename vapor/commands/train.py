@@ -148,12 +148,13 @@ def _show_progress(shown: Progress, now: Where) -> None:
     if now.validation is not None:
         held_out = f"{_recalls(now.validation)}, log density {now.validation.log_density:.2f}"
         figures += f", held out at epoch {now.validation.epoch}: {held_out}"
-    shown.at(now.stage, now.done, now.total, unit="images" if now.loss is None else "steps", figures=figures)
+    unit = "images" if now.loss is None else "steps"
+    shown.at(now.stage, now.done, now.total, unit=unit, figures=figures, left_s=now.left_s)
     for note in now.notes:
         shown.note(note)
-    if now.expected_s is not None:
+    if now.left_s is not None and not now.epoch:
         shown.note(
-            f"{now.epochs} epoch{'s' * (now.epochs != 1)} will take about {duration(now.expected_s)}, by the time of"
+            f"{now.epochs} epoch{'s' * (now.epochs != 1)} will take about {duration(now.left_s)}, by the time of"
             " some steps; then come landmarks and calibration"
         )
 

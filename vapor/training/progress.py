@@ -28,8 +28,9 @@ class Progress:
         loss: Mean training loss of this epoch so far.
         validation: Figures of the last epoch that was evaluated.
         notes: The choice of held-out images with its reasons, once before the first step.
-        expected_s: Seconds that all epochs will take, as measured by some steps, once before the first one; None
-            where the number of epochs was given.
+        left_s: Seconds that the epochs left will take, by the time of some first steps and of the epochs so far; once
+            before the first epoch, too. None where it is not known: the number of epochs was given, or a training goes
+            on.
     """
 
     stage: Literal[
@@ -42,7 +43,7 @@ class Progress:
     loss: float | None = None
     validation: Validation | None = None
     notes: tuple[str, ...] = ()
-    expected_s: float | None = None
+    left_s: float | None = None
 
 
 @dataclass(frozen=True)

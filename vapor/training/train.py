@@ -22,7 +22,7 @@ from vapor.training.model_file import calibrate_and_check, model_checkpoint
 from vapor.training.processes import from_first, is_first, require_shares
 from vapor.training.progress import Progress, ProgressCallback, TrainResult
 from vapor.training.state import Saving, initial_model, share_state, start, state_path
-from vapor.training.trainer import Trainer, planned_epochs
+from vapor.training.trainer import Trainer, plan
 from vapor.training_data.checks import require_variety, too_few
 from vapor.training_data.entries import open_sequences, require_no_leakage
 from vapor.training_data.load import load_training_set
@@ -164,12 +164,13 @@ def _train(
         saving.resume(state)
     share_state(state)
     report(Progress("holding out", len(split.held_out), notes=tuple(split.notes)))
+    planned = None
     if not (state.epochs or config.epochs):
-        planned = from_first(planned_epochs(state, split, len(evaluated), config))
-        report(Progress("training", 0, epochs=planned.epochs, expected_s=planned.seconds))
+        planned = from_first(plan(state, split, len(evaluated), config))
+        report(Progress("training", 0, epochs=planned.epochs, left_s=planned.seconds))
         state.epochs = planned.epochs
     state.epochs = state.epochs or config.known_epochs
-    trainer = Trainer(state, split, replace(config, epochs=state.epochs), saving, report)
+    trainer = Trainer(state, split, replace(config, epochs=state.epochs), saving, report, planned)
     model, found, of_landmarks = trainer.learn(), None, ()
     if is_first():
         landmarks, of_landmarks = find_landmarks(

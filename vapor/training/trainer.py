@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import deepcopy
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from time import perf_counter
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -41,9 +40,17 @@ class Trainer:
     """
 
     def __init__(
-        self, state: TrainingState, split: Split, config: TrainConfig, saving: Saving, report: ProgressCallback
+        self,
+        state: TrainingState,
+        split: Split,
+        config: TrainConfig,
+        saving: Saving,
+        report: ProgressCallback,
+        planned: Plan | None = None,
     ) -> None:
+        """Begin or go on; `planned` is how long its epochs will take, None where that is not known."""
         self.state, self.config, self._saving = state, config, saving
+        self._planned, self._took_s = planned, 0.0
         more = len(split.everything) > len(split.training)
         self.goes_on = bool(split.held_out_mask.any()) and config.finish > 0 and more
         self.epochs = state.epochs + (finishing(config).known_epochs if self.goes_on else 0)
@@ -59,10 +66,12 @@ class Trainer:
         """Learn from images that are not held out; returns the best network, in the first process, to be evaluated."""
         state, evaluated = self.state, self._split.evaluated(self.config.validation_images)
         while state.epoch < state.epochs:
+            begin_s = perf_counter()
             loss = self._epoch()
             if is_first():
                 self._evaluate(evaluated, loss)
                 self._saving.save(state, last=state.epoch == state.epochs)
+            self._took_s += perf_counter() - begin_s
         model, features = deepcopy(state.average), features_for(state, self._split.training)
         if is_first():
             model.load_state_dict(state.best or weights_of(self._kept))
@@ -77,9 +86,11 @@ class Trainer:
                 network.load_state_dict(model.state_dict())
             share_state(state)
         while state.epoch < self.epochs:
+            begin_s = perf_counter()
             self._epoch()
             if is_first():
                 self._saving.save(state)
+            self._took_s += perf_counter() - begin_s
         features = features_for(state, learned)
         if is_first():
             if self.goes_on:
@@ -98,9 +109,10 @@ class Trainer:
         finished = state.epoch >= state.epochs
         config, since = (finishing(self.config), state.epochs) if finished else (self.config, 0)
         steps = [steps_in_epoch(self._images(epoch), config) for epoch in range(self.epochs)]
-        before = sum(steps[: state.epoch])
+        before, planned = sum(steps[: state.epoch]), self._planned
 
         def report(step: int, loss: float) -> None:
+            done = step / steps[state.epoch]
             progress = Progress(
                 "training on everything" if finished else "training",
                 before + step,
@@ -109,6 +121,7 @@ class Trainer:
                 epochs=self.epochs,
                 loss=loss,
                 validation=state.history[-1] if state.history else None,
+                left_s=None if planned is None else planned.left_s(state.epoch, done, self._took_s),
             )
             self._report(progress)
 
@@ -158,38 +171,56 @@ def weights_of(network: PoseRegressor) -> dict[str, torch.Tensor]:
     return {name: value.detach().cpu().clone() for name, value in network.state_dict().items()}
 
 
-class Planned(NamedTuple):
-    """The number of epochs of a training, and the seconds that they are expected to take by some first steps."""
+@dataclass(frozen=True)
+class Plan:
+    """The seconds that each epoch of a training will take, by the time of some steps; `epochs` come before the finish."""
 
     epochs: int
-    seconds: float
+    epoch_s: tuple[float, ...]
+
+    @property
+    def seconds(self) -> float:
+        """Of all epochs."""
+        return sum(self.epoch_s)
+
+    def left_s(self, epoch: int, done: float, took_s: float) -> float:
+        """Seconds left, when a fraction of an epoch is done and those before it, counted from 0, took so long."""
+        before_s = sum(self.epoch_s[:epoch])
+        return (self.seconds - before_s - done * self.epoch_s[epoch]) * (took_s / before_s if before_s else 1.0)
 
 
-def planned_epochs(state: TrainingState, split: Split, evaluated: int, config: TrainConfig) -> Planned:
-    """Number of epochs that fit into the configured hours, evaluation and finishing included, and their duration.
+def plan(state: TrainingState, split: Split, evaluated: int, config: TrainConfig) -> Plan:
+    """As many epochs as fit into the configured hours, evaluation and finishing included, and what they will take.
 
     The state before the first step is left as it is. `evaluated` is the number of held-out images of an evaluation.
     """
-    trial, training, most = deepcopy(state), split.training, config.most_epochs
+    trial, training, everything = deepcopy(state), split.training, len(split.everything)
     batch = min(config.batch_size, len(training))
     rows = np.resize(np.arange(len(training)), (_WARM_UP + _TIMED) * batch)
     stamps = [perf_counter()]
     once = replace(config, epochs=1, small_images_first=0.0)
     train_epoch(trial, training.select(rows), once, lambda step, loss: stamps.append(perf_counter()))
     per_image = float(np.median(np.diff(stamps[_WARM_UP:]))) / batch
-    more = config.finish * len(split.everything) if len(split.everything) > len(training) else 0.0
     evaluation = _EVALUATION * evaluated / evaluation_interval(len(training), evaluated)
-    extraction, epochs = np.zeros(most), np.arange(1, most + 1)
-    if trial.features is not None:  # of all images, in each way in which they are varied, and of all varied at the end
-        per_pass = (stamps[1] - stamps[0]) / (2 * len(rows))
-        varied = np.minimum(epochs, VARIANTS)
-        extraction, evaluation = per_pass * len(split.everything) * (2 + varied), 0.0  # evaluation is quick then
-    spared = np.array([_spared(replace(config, epochs=n)) for n in range(1, most + 1)]) * len(training)
-    seconds = extraction + per_image * (epochs * (len(training) + more + evaluation) - spared)
-    found = max(min(_FEWEST, most), int((seconds <= 3600.0 * config.hours).sum()))
-    return Planned(found, float(seconds[found - 1]))
+    extraction = 0.0  # of the features of all images, in one variation
+    if trial.features is not None:  # evaluation is quick then
+        extraction, evaluation = everything * (stamps[1] - stamps[0]) / (2 * len(rows)), 0.0
 
+    def of(epochs: int) -> Plan:
+        known = replace(config, epochs=epochs)
+        learning = [per_image * (len(training) * step_cost(known, epoch) + evaluation) for epoch in range(epochs)]
+        varied = [extraction * (epoch < VARIANTS) for epoch in range(epochs)]
+        count = finishing(known).known_epochs if config.finish > 0 and everything > len(training) else 0
+        finish = [per_image * everything] * count
+        epoch_s = [sum(parts) for parts in zip(learning, varied, strict=True)] + finish
+        epoch_s[0] += extraction  # as they are
+        epoch_s[-1] += extraction  # varied, of everything
+        return Plan(epochs, tuple(epoch_s))
 
-def _spared(config: TrainConfig) -> float:
-    """Epochs that a training is shorter by because its first images are small."""
-    return sum(1.0 - step_cost(config, epoch) for epoch in range(config.known_epochs))
+    found = of(min(_FEWEST, config.most_epochs))
+    for epochs in range(found.epochs + 1, config.most_epochs + 1):
+        longer = of(epochs)
+        if longer.seconds > 3600.0 * config.hours:
+            break
+        found = longer
+    return found

@@ -44,6 +44,31 @@ def test_the_time_left_follows_from_what_was_done_in_the_later_half_of_the_time(
     assert pace.left_s(60) == 0.0
 
 
+def test_a_count_that_begins_again_is_another_task_with_a_pace_of_its_own():
+    clock = Clock()
+    pace = Pace(clock)
+    for done in range(1, 90):  # such as finding features in key images
+        clock.now_s += 1.0
+        pace.reach(done)
+    clock.now_s += 600.0  # and something between
+    for done in range(1, 51):  # such as localizing images
+        clock.now_s += 0.1
+        pace.reach(done)
+    assert pace.left_s(200) == pytest.approx(15.0, rel=0.01)
+
+
+def test_a_time_left_that_is_known_is_said_instead_of_the_pace():
+    told, clock = in_a_log("", "steps")
+    for done in range(1, 4):
+        clock.now_s += 1.0
+        told.at("training", done, 361, left_s=30.0 - done)
+    assert ", about 27 s left" in told.line()
+    clock.now_s += 7.0
+    assert ", about 20 s left" in told.line()
+    told.at("landmarks", 1, 10)
+    assert "left" not in told.line()
+
+
 def test_loading_before_the_first_image_does_not_count():
     clock = Clock()
     pace = Pace(clock)

@@ -25,7 +25,7 @@ from vapor.training.memory import VARIANTS, extract_training_features
 from vapor.training.presets import METHODS
 from vapor.training.state import start
 from vapor.training.train import train_on
-from vapor.training.trainer import planned_epochs
+from vapor.training.trainer import plan
 from vapor.training_data.load import load_training_set
 
 BOX = SceneBox((-2.0, -1.0, 0.0), (2.0, 3.0, 1.0))
@@ -215,7 +215,7 @@ def test_epochs_are_as_many_as_fit_but_no_more_than_help(hours, epochs):
     split = hold_out(images, 0.0)
     config = replace(RETRIEVAL, epochs=None, hours=hours, most_epochs=6)
     state = start(config, SceneBox.around(images.poses), images.poses, None)
-    assert planned_epochs(state, split, 0, config).epochs == epochs
+    assert plan(state, split, 0, config).epochs == epochs
     assert state.features is None
 
 

@@ -10,6 +10,7 @@ from tests.helpers.full import full
 from tests.helpers.tiny_training import TINY, Interrupted, make_frames, same_weights, train_on_most, walks
 from vapor.training.presets import PRESETS
 from vapor.training.train import train_on
+from vapor.training.trainer import Plan
 
 EVERYTHING = replace(TINY, calibrate=False, finish=0.5)
 
@@ -95,8 +96,18 @@ def test_how_long_all_epochs_will_take_is_told_before_the_first_one(tmp_path):
     told = []
     config = replace(TINY, epochs=None, hours=1e-9, calibrate=False, finish=0.0)
     result = train_on(walks(), tmp_path / "m.safetensors", config, progress=told.append)
-    (planned,) = [each for each in told if each.expected_s is not None]
+    planned, *later = [each for each in told if each.left_s is not None]
     assert planned.epochs == len(result.history) == 4
-    assert planned.expected_s > 0.0
+    assert planned.left_s > 0.0
     assert not any(each.epoch for each in told[: told.index(planned)])
+    assert later == [each for each in told if each.epoch]
+    assert later[-1].left_s == pytest.approx(0.0, abs=1e-9)
     assert result.evaluated == 24
+
+
+def test_the_time_left_is_by_the_plan_as_fast_as_the_epochs_so_far():
+    planned = Plan(3, (8.0, 4.0, 4.0, 2.0))  # the first epoch extracts features, which takes as long as the rest
+    assert planned.seconds == 18.0
+    assert planned.left_s(0, 0.5, 0.0) == 14.0
+    assert planned.left_s(1, 0.0, 16.0) == pytest.approx(20.0)
+    assert planned.left_s(3, 1.0, 16.0) == 0.0
