@@ -173,7 +173,7 @@ def weights_of(network: PoseRegressor) -> dict[str, torch.Tensor]:
 
 @dataclass(frozen=True)
 class Plan:
-    """The seconds that each epoch of a training will take, by the time of some steps; `epochs` come before the finish."""
+    """Seconds that each epoch of a training will take, by the time of some steps; `epochs` come before the finish."""
 
     epochs: int
     epoch_s: tuple[float, ...]
