@@ -271,6 +271,6 @@ def unused_part(path: Path) -> str:
     if not (before and os.path.exists(before)):  # Path.exists raises for names that are too long
         return ""
     return (
-        f"; only `train`, `inspect` and `calibrate` take a part by @{part}: `run` has --start-s and --duration-s,"
-        " `convert` has --frames"
+        f"; only `train`, `inspect`, `calibrate`, and of images `run`, take a part by @{part}: `run` has --start-s and"
+        " --duration-s, `convert` has --frames"
     )

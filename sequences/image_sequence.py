@@ -17,7 +17,7 @@ from filtering.se3 import Poses
 from sequences.datasets.layout import PosedImages
 from sequences.datasets.layout_helpers.image_files import decoded_file, find_camera, images_in, size_of_first
 from sequences.datasets.layout_helpers.packed import VIDEO_SUFFIXES, VideoFile
-from sequences.datasets.listing import found_images, is_data_set, is_recording
+from sequences.datasets.listing import clipped, found_images, is_data_set, is_recording
 from sequences.errors import SequenceError
 from sequences.files import Rows
 from sequences.frame import ASSUMED_HZ, Camera, Frame
@@ -91,7 +91,12 @@ class ImageSequence:
     odometry_description: str | None = None
 
     def __init__(
-        self, path: Path | str, options: SequenceOptions | None = None, *, rate_hz: float = float(ASSUMED_HZ)
+        self,
+        path: Path | str,
+        options: SequenceOptions | None = None,
+        *,
+        rate_hz: float = float(ASSUMED_HZ),
+        frames: slice = slice(None),
     ) -> None:
         """Open a video or a folder.
 
@@ -99,12 +104,14 @@ class ImageSequence:
             path: Video file, folder with PNG or JPEG images, or a data set of one sequence, as `list_images` takes it.
             options: What to read. Those of topics, odometry and true poses do not apply.
             rate_hz: How many images there are in a second, in a folder of images or a data set that states no stamps.
+            frames: Which of the images, counted from 0; neither from the end nor in steps.
 
         Raises:
             SequenceError: no such video or images, a damaged data set or one of several sequences, a damaged
                 `intrinsics.json`, one of another aspect ratio, or options that do not apply.
         """
         self.path, self._options, self._rate_hz = Path(path), options or SequenceOptions(), rate_hz
+        self._first, self._stop = frames.start or 0, np.inf if frames.stop is None else frames.stop
         _require_applicable(self.path, self._options)
         if not _RATES_HZ[0] <= rate_hz <= _RATES_HZ[1]:
             raise VaporTrackError(f"rate_hz is {rate_hz}, expected between {_RATES_HZ[0]:g} and {_RATES_HZ[1]:g}")
@@ -167,12 +174,15 @@ class ImageSequence:
         for time_ns, decode, lens, pose in self._dated():
             counts.read += 1
             counts.stated += 1
+            if counts.read <= self._first:
+                counts.skipped[OUTSIDE] += 1
+                continue
             segment = segment or RequestedSegment(time_ns, options.start_s, options.duration_s)
             if latest_ns is not None and time_ns <= latest_ns:
                 counts.skipped[NOT_INCREASING] += 1
                 continue
             latest_ns = time_ns
-            if segment.ends_before(time_ns):
+            if segment.ends_before(time_ns) or counts.read > self._stop:
                 counts.skipped[OUTSIDE] += 1
                 segment.is_stopped = True
                 break
@@ -193,6 +203,9 @@ class ImageSequence:
         if not counts.used:
             found = ", ".join(f"{count} × {reason}" for reason, count in counts.skipped.items()) or "none was read"
             raise SequenceError(f"{self.path}: no image is left: {found}; expected at least one that can be used")
+        if not _stopped(segment) and self._stop not in (np.inf, counts.read):
+            fewer = clipped(slice(self._first, int(self._stop)), counts.read)
+            self.notices += [] if fewer is None else [fewer]
         self._judge(num_unlike, whole=not _stopped(segment))
 
     def _judge(self, num_unlike: int, *, whole: bool) -> None:

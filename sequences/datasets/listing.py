@@ -59,7 +59,7 @@ def none_among(frames: slice, count: int | None) -> str:
 
 
 def clipped(frames: slice, count: int) -> str | None:
-    """That fewer images were found than were asked for, of `count` with a true pose; None where all are there."""
+    """That fewer images were found than were asked for, of `count` in all; None where all are there."""
     if frames.stop is None or frames.stop <= count or count <= (first := frames.start or 0):
         return None
     return (

@@ -13,6 +13,7 @@ from sequences.errors import SequenceError
 from sequences.frame import Camera
 from sequences.image_sequence import ImageSequence, is_image_sequence
 from sequences.options import SequenceOptions
+from sequences.reading.counts import OUTSIDE
 from tests.helpers.data_sets import STEP_NS, make_7scenes, make_tum, same
 from tests.helpers.video_clips import held_upright, write_clip
 from tests.helpers.video_files import pictures
@@ -264,3 +265,20 @@ def test_several_sequences_of_a_data_set_are_not_one(tmp_path):
         ImageSequence(scene)
     (scene / "TestSplit.txt").write_text("sequence2\n")
     assert len(list(ImageSequence(scene / "TestSplit.txt"))) == 2
+
+
+def test_a_part_is_taken_by_the_numbers_of_the_images(clip, tmp_path):
+    assert stamps_ms(ImageSequence(clip, frames=slice(2, 5))) == TIMES_MS[2:5]
+    data = make_7scenes(tmp_path / "scene")
+    sequence = ImageSequence(data, frames=slice(3, 7))
+    for frame, other in zip(sequence, posed_frames(data, frames=slice(3, 7)), strict=True):
+        assert frame.time_ns == other.time_ns
+        assert same(frame.world_from_camera, other.world_from_camera, 1e-12)
+    assert sequence.counts.are_complete
+    assert sequence.counts.skipped == {OUTSIDE: 6}
+    assert not any("were asked for" in notice for notice in sequence.notices)
+    beyond = ImageSequence(data, frames=slice(8, 900))
+    assert len(list(beyond)) == 2
+    assert "images 8:900 were asked for, and there are 10, numbered 0 to 9: 8 to 9 were taken" in beyond.notices
+    with pytest.raises(SequenceError, match="no image is left: 10 × outside the stretch asked for"):
+        list(ImageSequence(data, frames=slice(10, 20)))

@@ -39,7 +39,8 @@ class Options:
 
     sequences: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="SEQUENCE ...")]
     """MCAP files, rosbag2 folders or ROS 1 bags with images and odometry; or images alone: video files, folders of
-    images, or data set folders, whose true poses are compared with. Any other folder stands for all of these in it."""
+    images, or data set folders, whose true poses are compared with; of these, PATH@100:200 takes only images 100 to
+    199. Any other folder stands for all of these in it."""
     model: str
     """Model file, or name of a model that ships with the package: staircase, ceiling."""
     output: OutputPath

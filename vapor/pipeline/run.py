@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from hashlib import sha256
@@ -13,6 +14,7 @@ from jaxtyping import Int64, UInt8
 from filtering.errors import VaporTrackError
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
+from sequences.datasets.listing import as_typed
 from sequences.frame import Camera, Frame
 from sequences.frame_source import FrameSource, RestatedSequence
 from sequences.image_sequence import ImageSequence, is_image_sequence
@@ -42,6 +44,7 @@ from vapor.reporting.record import EvenlySpaced
 from vapor.reporting.report import is_placed, status_parts
 from vapor.reporting.rerun_place import Place
 from vapor.threads import limited_threads
+from vapor.training_data.entries import parse_entry
 from vapor.training_data.ground import describe_unshown
 from vapor.versions import version_of
 
@@ -67,7 +70,8 @@ def run(
 
     Args:
         sequence: MCAP file, rosbag2 folder or ROS 1 bag; or images without odometry: a video file, a folder of images,
-            or the folder of a data set, whose true poses are compared with.
+            or the folder of a data set, whose true poses are compared with; of such images, `PATH@START:STOP` is a
+            part.
         model: Model file, name of a model that ships with the package, or a model that `load_model` loaded with these
             settings.
         output: Directory for the results, which appear when the run is complete, or not at all. It is absent, empty, or
@@ -99,7 +103,7 @@ def run(
 
 def files_read(sequence: Path, model: LoadedModel, reading: SequenceOptions | None) -> list[Path]:
     """Files and folders that a run reads, as far as they are known before it."""
-    return [sequence, model.file, *(() if reading is None else reading.files_read)]
+    return [_part_of(sequence)[0], model.file, *(() if reading is None else reading.files_read)]
 
 
 def request_of(sequence: Path, model: LoadedModel, config: RunConfig, reading: SequenceOptions | None) -> str:
@@ -107,8 +111,8 @@ def request_of(sequence: Path, model: LoadedModel, config: RunConfig, reading: S
 
     The sequence counts by name and size of its files, and by both ends of some of them, evenly spread.
     """
-    reading = reading or SequenceOptions()
-    files = [sequence] if sequence.is_file() else sorted(path for path in sequence.rglob("*") if path.is_file())
+    reading, (whole, part) = reading or SequenceOptions(), _part_of(sequence)
+    files = [whole] if whole.is_file() else sorted(path for path in whole.rglob("*") if path.is_file())
     poses = [path for path in reading.files_read if path.is_file()]
     settings = {
         "vapor-track": version_of("vapor-track"),
@@ -116,6 +120,7 @@ def request_of(sequence: Path, model: LoadedModel, config: RunConfig, reading: S
         "run": asdict(config),
         "reading": asdict(reading) | {"poses": [Listed.of(path).sha256 for path in poses]},
         "sequence": [(path.name, path.stat().st_size) for path in files],
+        "part": as_typed(part),
         "ends": [_ends(path) for path in files[:: 1 + len(files) // _SAMPLED]],
     }
     return digest(settings)
@@ -215,14 +220,20 @@ def run_into(
 
 
 def _open(sequence: Path, reading: SequenceOptions, config: RunConfig, cameras: Sequence[str]) -> FrameSource:
-    if not is_image_sequence(sequence):
+    path, part = _part_of(sequence)
+    if not is_image_sequence(path):
         require_one_source(config.odometry, reading)
         return SequenceReader(sequence, reading, odometry=USES[config.odometry], usual_cameras=cameras)
     if config.odometry in ("recorded", "both"):
         raise VaporTrackError(
             f"{sequence}: --odometry {config.odometry} with images alone, expected a recording with odometry"
         )
-    return ImageSequence(sequence, reading, rate_hz=config.rate_hz)
+    return ImageSequence(path, reading, rate_hz=config.rate_hz, frames=part)
+
+
+def _part_of(sequence: Path) -> tuple[Path, slice]:
+    """Path and images of a sequence or of `PATH@START:STOP`."""
+    return (sequence, slice(None)) if os.path.exists(sequence) else parse_entry(sequence)
 
 
 def _with_visual_odometry(frames: FrameSource, model: ModelDescription, config: RunConfig) -> FrameSource:

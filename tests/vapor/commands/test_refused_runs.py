@@ -55,7 +55,7 @@ def test_a_data_set_is_refused_where_it_cannot_be_read_or_has_no_odometry_to_rea
 
 
 def test_a_part_by_an_at_is_refused_with_the_options_that_choose_one(walk_of_25, tiny_model, earlier, capsys):
-    said = ["@0:9: no such file or folder", "take a part by @0:9: `run` has --start-s and --duration-s"]
+    said = ["@0:9: no such file or folder", "and of images `run`, take a part by @0:9: `run` has --start-s"]
     refuse_run(walk_of_25.with_name(f"{walk_of_25.name}@0:9"), tiny_model, earlier, capsys, *said)
     nowhere = earlier.parent / "nowhere.mcap@0:9"
     assert "a part" not in refuse_run(nowhere, tiny_model, earlier, capsys, "no such file or folder")

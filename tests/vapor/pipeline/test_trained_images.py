@@ -12,6 +12,9 @@ from tests.helpers.checkpoints import any_checkpoint
 from tests.helpers.command_line import report_of, words_of_run
 from tests.helpers.data_sets import make_7scenes
 from vapor.checkpoints.file_format import save_checkpoint
+from vapor.pipeline.config import RunConfig
+from vapor.pipeline.model import load_model
+from vapor.pipeline.run import request_of
 from vapor.pipeline.trained_images import said_of_trained_images
 from vapor.regressors.scene_box import SceneBox
 from vapor.track import main
@@ -45,6 +48,18 @@ def test_true_poses_of_a_data_set_are_compared_with(scene, tiny_model, tmp_path)
         report = report_of(tmp_path / "out")
         assert report["frames"] == report["frames_with_true_pose"] == count
         assert "were trained on" not in " ".join(report["notices"])  # the model remembers none
+
+
+def test_the_images_that_a_training_left_out_are_run_on_by_their_numbers(scene, tmp_path):
+    model = _remembering(list_images(scene).world_from_camera[3:], tmp_path / "model.safetensors")
+    part = scene.with_name("scene@:3")
+    assert main(words_of_run(part, model, tmp_path / "out", ["--odometry", "none"])) == 0
+    report = report_of(tmp_path / "out")
+    assert report["frames"] == report["frames_with_true_pose"] == 3
+    assert not any("were trained on" in notice for notice in report["notices"])
+    loaded = load_model(str(model), RunConfig())
+    requests = {request_of(path, loaded, RunConfig(), None) for path in (scene, part, scene.with_name("scene@1:3"))}
+    assert len(requests) == 3
 
 
 def test_images_that_were_trained_on_are_said(scene, tmp_path, capsys):
