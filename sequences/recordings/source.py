@@ -9,7 +9,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
 
-from filtering.errors import quoted
+from filtering.errors import listed, quoted
 from sequences.errors import NotFoundError, SequenceError
 from sequences.recordings import foxglove, serializations
 from sequences.recordings.messages import frame_name
@@ -228,8 +228,7 @@ def listing(topics: Iterable[Topic]) -> str:
     """Topics with their types, for errors: as many as fit, and the number of others."""
     found = [f"{topic.name} ({topic.type})" for topic in topics]
     fitting = [text for text, end in zip(found, accumulate(map(len, found)), strict=True) if end <= _LISTED]
-    more = f" and {len(found) - len(fitting)} more" if len(fitting) < len(found) else ""
-    return f"found {', '.join(fitting)}{more}" if found else "found no topics"
+    return f"found {listed(found, len(fitting))}" if found else "found no topics"
 
 
 def decode(bag: MessageSource, raw: RawMessage, *, tolerate: bool = False) -> Any:
