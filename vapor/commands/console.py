@@ -9,6 +9,7 @@ import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from contextlib import redirect_stderr
+from copy import copy
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, NoReturn, TypeVar
@@ -125,11 +126,18 @@ def usage_error(command: str, message: str, program: str = "vapor-track") -> NoR
 
 
 def show(content: str | Text | Table) -> None:
-    """Print text or a table on standard output; no line is longer than fits but where a table's words would be cut."""
+    """Print text or a table on standard output; no line is longer than fits but where a table's words would be cut.
+
+    A table's title is a line of text above it: it may name a file, and Rich would fold it within a word.
+    """
     if isinstance(content, str):
         at_terminal = sys.stdout is not None and sys.stdout.isatty()
         write("\n".join(map(wrapped, content.splitlines())) if at_terminal else content)
         return
+    if isinstance(content, Table) and content.title is not None:
+        show(str(content.title))
+        content = copy(content)
+        content.title = None
     console = Console(highlight=False, markup=False, width=width(), color_system=color_system())
     if isinstance(content, Table) and any("…" in segment.text for segment in console.render(content)):
         console.width = console.measure(content, options=console.options.update_width(_WIDE)).maximum

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -326,6 +327,17 @@ def test_tables_have_every_word_and_fit_80_columns(width, report, capsys, monkey
         words = re.split(r"[\s│┃]+", out)
         for column in table.columns[1:]:
             assert set(" ".join(map(str, column.cells)).split()) <= set(words)
+
+
+def test_names_of_files_are_never_cut_within_a_word(report, capsys, monkeypatch):
+    name = "drive-20261130/recorded_in_the_long_corridor/second-floor_back.mcap"
+    out = shown(format_table(report, title=f"/data/results/{name}"), 80, capsys, monkeypatch)
+    assert out.splitlines()[0] == f"/data/results/{name}"
+    out = shown(format_batch([OUTCOME, replace(OUTCOME, name=name)]), 80, capsys, monkeypatch)
+    assert max(map(cell_len, out.splitlines())) <= 80
+    cells = [line.split("│")[1].strip() for line in out.splitlines() if line.startswith("│")]
+    assert "".join(cells) == OUTCOME.name + name
+    assert all(cell[-1] in "-/_" or cell in ("building", "back.mcap") for cell in cells)
 
 
 @pytest.mark.parametrize(
