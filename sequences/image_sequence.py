@@ -56,6 +56,7 @@ class ImageSequence:
         notices: Sentences for users; complete after an iteration.
         camera: Intrinsics of the undistorted images; None where they are not stated.
         odometry_origin: None.
+        no_odometry: Empty: none is expected.
         has_stamps: Whether the time stamps of the images are stated; else their rate is assumed.
         num_images: Images in all, for progress; 0 where a video does not state it.
         image_description, odometry_description: None: no file states them.
@@ -70,6 +71,7 @@ class ImageSequence:
     """
 
     odometry_origin: OdometryOrigin | None = None
+    no_odometry: str = ""
     image_description: str | None = None
     odometry_description: str | None = None
 

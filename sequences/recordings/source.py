@@ -204,10 +204,9 @@ def choose(
         if not candidates and not required:
             return None
         if not candidates:
-            robots = [topic.name for topic in bag.topics.values() if topic.is_ros_tf]
-            of_one = f"; tf is of {len(robots)} robots, name one by --tf-topic" if len(robots) > 1 else ""
             raise NotFoundError(
-                f"{bag.path}: no {role} topic, expected one of type {expected}{of_one}; {listing(bag.topics.values())}"
+                f"{bag.path}: no {role} topic, expected one of type {expected}{several_robots(bag)};"
+                f" {listing(bag.topics.values())}"
             )
         if len(candidates) > 1:
             none = "" if required else ", or '' for none"
@@ -222,6 +221,12 @@ def choose(
             f" {' or '.join(map(repr, chosen.encodings))}"
         )
     return chosen
+
+
+def several_robots(bag: MessageSource) -> str:
+    """The part of a sentence that asks which robot's tf to read; empty where there is one at most."""
+    robots = sum(topic.is_ros_tf for topic in bag.topics.values())
+    return f"; tf is of {robots} robots, name one by --tf-topic" if robots > 1 else ""
 
 
 def listing(topics: Iterable[Topic]) -> str:

@@ -110,6 +110,8 @@ def show_run(result: RunResult, output: Path, *, title: str, recording: bool, la
         show(f"landmarks  verify a place in {100 * report['verified']:.0f} % of the images")
     show(f"images     {count_images(report['images'])}")
     show_skipped(report["skipped"])
+    if result.motion:
+        show(f"odometry   {result.motion}")
     show_notices(result.notices)
     if result.engine:
         show(f"engine     {result.engine}")

@@ -36,13 +36,15 @@ RESULTS = frozenset(
 class RunResult:
     """The result of a run: everything collected on the way, the content of `report.json`, warnings and hints.
 
-    `engine` has engine, device and precision of the network; empty without one.
+    `engine` has engine, device and precision of the network; empty without one. `motion` says what stands in for
+    recorded odometry; empty where that is used.
     """
 
     record: RunRecord
     report: dict[str, Any]
     notices: tuple[str, ...] = ()
     engine: str = ""
+    motion: str = ""
 
     @property
     def few_images(self) -> str | None:

@@ -43,7 +43,7 @@ def _asked(report: Mapping[str, Any], settings: Mapping[str, Any]) -> str:
     kind = "synthetic images" if str(sequence.get("image_source")).startswith("synthetic") else "images"
     model = settings.get("model", {}).get("name")
     asked = f"{report['frames']} {kind} in {report['duration_s']:.0f} s, localized{f' by {model}' if model else ''}"
-    odometry = sequence.get("odometry", settings.get("odometry"))
+    odometry = sequence.get("motion") or sequence.get("odometry", settings.get("odometry"))
     if odometry is None:
         return asked
     kind = odometry.partition(": ")[0]  # of simulated odometry, the noise
@@ -97,7 +97,9 @@ def _sections(record: RunRecord, report: Mapping[str, Any], settings: Mapping[st
         sections.append(section("Calibration of the uncertainty", trust))
     if report.get("storeys") is not None:
         sections.append(section("Storeys", _storeys(report["storeys"])))
-    sections.append(section("Inputs and resources", [_counts(report)]))
+    missing = settings.get("sequence", {}).get("no_odometry")
+    why = [paragraph(f"No odometry is recorded: {missing}.")] if missing else []
+    sections.append(section("Inputs and resources", [_counts(report), *why]))
     blocks = [code(command)] if command else []
     versions = settings.get("versions", {})
     rows = [(name, str(version)) for name, version in versions.items()]
