@@ -29,6 +29,7 @@ from vapor.pipeline.batch import PAGE, SUMMARY, find_sequences, is_batch, run_ba
 from vapor.pipeline.config import RunConfig
 from vapor.pipeline.results import RunResult
 from vapor.pipeline.run import run
+from vapor.reporting.calibration import format_calibration
 from vapor.reporting.outcome import Outcome, format_batch, total
 from vapor.reporting.report import format_table
 
@@ -101,6 +102,8 @@ def show_run(result: RunResult, output: Path, *, title: str, recording: bool, la
     report = result.report
     if report["frames_with_true_pose"]:
         show(format_table(report, title=title, large_errors=large_errors))
+        if (calibration := format_calibration(report)) is not None:
+            show(calibration)
     status = ", ".join(f"{100 * fraction:.0f} % {name}" for name, fraction in report["status"].items())
     show(f"{report['frames']} images: {status}")
     for name, each in report.get("cameras", {}).items():

@@ -6,8 +6,8 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from vapor.evaluation.consistency import REGIONS
 from vapor.evaluation.trajectory import RIGHT, THRESHOLDS
+from vapor.reporting.calibration import calibration_table
 from vapor.reporting.html.drawings import plan, reliability, status_strip
 from vapor.reporting.html.landmark_picture import landmark_caption, landmark_picture
 from vapor.reporting.html.page import Block, Page, code, folded, paragraph, picture, section, table
@@ -127,8 +127,7 @@ def _landmarks(record: RunRecord, report: Mapping[str, Any]) -> list[Block]:
 
 
 def _trust(report: Mapping[str, Any]) -> list[Block] | None:
-    consistency = report.get("consistency")
-    if consistency is None:
+    if "consistency" not in report:
         return None
     weights = [
         reliability(report["reliability"]),
@@ -138,26 +137,17 @@ def _trust(report: Mapping[str, Any]) -> list[Block] | None:
             " careful than it need be. Neighbouring images share their errors, so few of them are independent."
         ),
     ]
-    images = consistency["images"]
-    if images == 0:
+    columns, rows = calibration_table(report)
+    if not rows:
         return [paragraph("It called no image converged, so there is no region to check."), *weights]
-    rows = [
-        (
-            f"true pose in the {name} region".replace("%", " %"),
-            f"{100 * consistency['coverage'][name]:.1f} %",
-            f"{100 * part:g} %",
-        )
-        for name, part in REGIONS.items()
-    ]
-    rows += [
-        ("median NEES", f"{consistency['median_nees']:.2f}", "5.35"),
-        (f"wrong: not {_WITHIN}", f"{100 * consistency['wrong']:.1f} %", "0 %"),
-    ]
+    ours = [number for number, row in enumerate(rows) if row[0] == METHODS["filter"].label]
     return [
-        table(("", "measured", "expected"), rows, f"Of the {images} converged images"),
+        table(columns, rows, "True poses in the stated regions", ours),
         paragraph(
-            "A region is the smallest part of the stated Gaussian with that probability. NEES, the normalised "
-            "estimation error squared, is larger than 5.35 where errors are larger than stated."
+            "Of the filter the images that it called converged count, of poses in hindsight those that images fit and"
+            " at one place only. A region is the smallest part of the stated distribution with that probability. NEES,"
+            " the normalised estimation error squared, is larger than 5.35 where errors are larger than stated. Wrong"
+            f" poses are not {_WITHIN}."
         ),
         *weights,
     ]

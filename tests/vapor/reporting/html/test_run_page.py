@@ -37,10 +37,19 @@ def test_the_table_has_the_numbers_of_the_report(record):
         f"{metrics['median_rotation_deg']:.1f}°",
     ]
     assert page.cells[row + 2 : row + 5] == [f"{100 * part:.0f} %" for part in metrics["recall"].values()]
-    coverage = report["consistency"]["coverage"]
-    for name, part in coverage.items():
-        row = page.cells.index(f"true pose in the {name.replace('%', ' %')} region")
-        assert page.cells[row + 1] == f"{100 * part:.1f} %"
+
+
+def test_calibration_is_shown_of_the_filter_and_of_smoothed_poses(record):
+    report = build_report(record)
+    smoothed = {"images": 140, "wrong": 0.0, "coverage": {"50%": 0.2, "90%": 0.42, "95%": 0.55}, "median_nees": 11.3}
+    report["hindsight"] = {"ambiguous": 0, "carried_off_s": [], "consistency": smoothed}
+    cells = ReadPage.of(run_page(record, report, title="walk.mcap", settings=SETTINGS).html()).cells
+    row = cells.index("particle filter", cells.index("median\nNEES"))
+    filtered = report["consistency"]
+    held = [f"{100 * part:.1f} %" for part in filtered["coverage"].values()]
+    assert cells[row + 1 : row + 5] == [str(filtered["images"]), *held]
+    assert cells[row + 7 : row + 14] == ["smoothed", "140", "20.0 %", "42.0 %", "55.0 %", "11.30", "0.0 %"]
+    assert cells[row + 14 : row + 21] == ["expected", "", "50 %", "90 %", "95 %", "5.35", "0 %"]
 
 
 def test_what_was_asked_and_how_it_was_made_are_said(record):
