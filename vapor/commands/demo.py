@@ -25,7 +25,6 @@ from vapor.pipeline.run import run_into
 from vapor.reporting.report import format_table
 
 _SEQUENCE = "sequence.mcap"
-_METHODS = ("single_image", "dead_reckoning", "filter")
 
 if TYPE_CHECKING:
     _Scene = str
@@ -65,6 +64,5 @@ def main(arguments: Sequence[str]) -> None:
             command = command_line("demo", arguments)
             result = run_into(directory, directory / _SEQUENCE, model, config, progress=advance, command=command)
     results_are_complete()
-    shown = {name: result.report[name] for name in _METHODS if name in result.report}
-    show(format_table(shown, title=f"{options.scene}, {result.report['frames']} synthetic images"))
+    show(format_table(result.report, title=f"{options.scene}, {result.report['frames']} synthetic images"))
     show_files(output, recording=True)

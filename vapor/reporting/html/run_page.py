@@ -166,6 +166,12 @@ def _storeys(storeys: Mapping[str, Any]) -> list[Block]:
         right = [(METHODS[name].label, f"{100 * part:.0f} %") for name, part in in_order(storeys["accuracy"]).items()]
         ours = [number for number, row in enumerate(right) if row[0] == METHODS["filter"].label]
         blocks.append(table(("", "right storey"), right, "Images on the right storey", ours))
+        blocks.append(
+            paragraph(
+                "On stairs the storey changes at one height. There a pose some centimetres from the truth, right by all"
+                " limits, may be on the other storey."
+            )
+        )
     return [*blocks, table(("", "belief"), rows, "Belief after the last image, by storey and height of the camera")]
 
 
