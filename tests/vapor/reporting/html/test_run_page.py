@@ -102,6 +102,15 @@ def test_beside_a_moment_is_its_own_image_at_most_200_pixels_wide(record):
         assert abs(image.mean() - shade) < 2
 
 
+def test_a_page_begins_at_a_moment_that_one_of_its_pictures_shows(record):
+    page = read(record)
+    moments = [int(attributes["data-moment"]) for _, attributes in page.tags if "data-moment" in attributes]
+    (begin,) = [int(attributes["value"]) for _, attributes in page.tags if attributes.get("type") == "range"]
+    assert begin in moments
+    assert begin == min(moments, key=lambda moment: abs(moment - 0.15 * 149))
+    assert min(abs(moment - int(0.15 * 149)) for moment in moments) > 0  # a fixed place would be at none of them
+
+
 def test_a_path_is_broken_where_a_hypothesis_jumped(record):
     (path,) = [each for each in read(record).data["run"]["paths"] if each["name"] == "particle filter"]
     points = [each for each in path["x"] if each is not None]
