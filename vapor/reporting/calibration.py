@@ -73,12 +73,14 @@ def too_sure_notices(report: Mapping[str, Any]) -> list[str]:
         notices.append(
             f"the 90 % regions hold {100 * held['filter']:.0f} % of the true poses, and"
             f" {100 * checked['filter']['wrong']:.0f} % of the converged images are wrong: the stated errors are too"
-            " small for this recording"
+            " small for this recording; calibrate with one of such conditions"
         )
     for name in (each for each in low if each != "filter"):
-        beside = f", those of the filter {100 * held['filter']:.0f} %" if "filter" in held and not notices else ""
+        sound = "filter" in held and "filter" not in low
+        beside = f", those of the filter {100 * held['filter']:.0f} %" if sound else ""
+        instead = "; take the filter's where the uncertainty counts" if sound else ""
         notices.append(
             f"the 90 % regions of {METHODS[name].label} poses hold {100 * held[name]:.0f} % of the true poses{beside}:"
-            " they err by more than they state"
+            f" they err by more than they state{instead}"
         )
     return notices

@@ -95,8 +95,9 @@ def runs(mask: Bool[np.ndarray, " n"], sequence: Int64[np.ndarray, " n"]) -> Ite
 
 
 def describe_runs(found: Sequence[slice], first: int) -> str:
-    """The first and last image of each run, counted from the first image of their recording."""
-    ranges = (f"{run.start - first} to {run.stop - 1 - first}" for run in found)
+    """The first and last image of each run, or its only one, counted from the first image of their recording."""
+    ends = ((run.start - first, run.stop - 1 - first) for run in found)
+    ranges = (f"{begin} to {end}" if end > begin else f"{begin}" for begin, end in ends)
     return listed(ranges, _NAMED_RUNS, others="more ranges")
 
 
