@@ -24,23 +24,20 @@ def what_is_wrong(arguments: Sequence[str], message: str, command: Command) -> s
         message: What the parser says, in a box.
         command: The options.
     """
-    if unknown := [_unknown(name, command) for name in _names(arguments) if name not in command.names]:
+    given = [_name(word) for word in arguments if word.startswith("--") and word != "--"]
+    if unknown := [_unknown(name, command) for name in given if name not in command.names]:
         return "; ".join(unknown)
     text = _unboxed(message)
     options = {name: option for _, group in command.groups.values() for option in group for name in option.names}
-    if (refused := _OF_OPTION.match(text)) and refused[1] in options:
+    if (refused := _OF_OPTION.match(text)) and refused[1] in given:
         return _refused_value(refused[1], options[refused[1]], arguments)
     if refused := _OF_ARGUMENT.match(text):
         return f"{refused[2]} is {refused[1]}, expected one of {refused[3].replace(chr(39), '')}"
     return text
 
 
-def _names(arguments: Sequence[str]) -> list[str]:
-    """The options among the words, as `--help` writes them."""
-    return [_name(word) for word in arguments if word.startswith("--") and word != "--"]
-
-
 def _name(word: str) -> str:
+    """The option that a word names, as `--help` writes it."""
     return word.partition("=")[0].replace("_", "-")
 
 
