@@ -14,7 +14,7 @@ from vapor.images import cover_size
 
 _SAME_PX = 0.5  # of the images that a network sees: too little for a network to notice
 _LEAST_FRACTION = 0.8  # of the view, below which there is a notice
-_ALLOWANCE = 1.5  # of the OOD score, for an image of which nothing is seen; parts of images need 0.6 to 1.5 times theirs
+_ALLOWANCE = 1.5  # of the OOD score, for an image of which nothing is seen: parts need 0.5 to 1.5 times theirs
 
 
 class AsTakenBy:
@@ -74,7 +74,7 @@ class AsTakenBy:
             found.append(
                 f"the camera ({described(next(iter(self.cameras)))}) sees {self.least_fraction:.0%} of what the camera"
                 f" learned with saw ({described(self.camera)}): expect larger errors, and certainty later;"
-                " of its images, only those that look very unlike the training are taken for ones of another place"
+                " only those of its images that look very unlike the training are taken for ones of another place"
             )
         return found
 

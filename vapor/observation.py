@@ -177,7 +177,8 @@ class VaporObservationModel:
         if self.description.ood_model is None:
             return 0.0
         score = float(self.description.ood_model.ood_score(description[None])[0])
-        return score if score > OUT_OF_DISTRIBUTION + self._as_learned.ood_allowance else min(score, OUT_OF_DISTRIBUTION)
+        is_unlike = score > OUT_OF_DISTRIBUTION + self._as_learned.ood_allowance
+        return score if is_unlike else min(score, OUT_OF_DISTRIBUTION)
 
 
 def _verifier(model: ModelDescription) -> LandmarkVerifier | None:

@@ -105,7 +105,9 @@ def test_the_program_allows_for_what_a_narrower_camera_does_not_see(raw, expecte
     *_, score = page["observe"]((session, config, arrays), image, noise, vars(camera))
     threshold = arrays["ood_model.threshold"] * score / raw
     scaled = arrays | {"ood_model.threshold": threshold}
-    assert page["observe"]((session, config, scaled), image, noise, vars(camera))[2] == pytest.approx(expected, rel=1e-6)
+    assert page["observe"]((session, config, scaled), image, noise, vars(camera))[2] == pytest.approx(
+        expected, rel=1e-6
+    )
     ood_model = replace(checkpoint.ood_model, own_distance=float(threshold), threshold=float(threshold))
     ours = VaporObservationModel(replace(checkpoint, ood_model=ood_model), num_samples=5, device="cpu", camera=camera)
     assert ours.observe(image, rng=np.random.default_rng(2)).ood_score == pytest.approx(expected, rel=1e-4)

@@ -93,8 +93,8 @@ def test_what_a_person_should_know_is_said_once() -> None:
         "3 images of 160 x 90 pixels from a camera of unknown intrinsics: their middle is used, but the camera learned"
         " with is 160 x 120 pixels, 67° wide",
         "the camera (160 x 120 pixels, 51° wide) sees 51% of what the camera learned with saw (160 x 120 pixels, 67°"
-        " wide): expect larger errors, and certainty later; of its images, only those that look very unlike the training"
-        " are taken for ones of another place",
+        " wide): expect larger errors, and certainty later; only those of its images that look very unlike the"
+        " training are taken for ones of another place",
     ]
     silent = AsTakenBy(None, (40, 30))
     image = taken_by(narrow)
