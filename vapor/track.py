@@ -79,6 +79,11 @@ def run_program(program: str, about: str, commands: dict[str, str], package: str
         return 1
     finally:
         signals.working, signals.silent = False, True
+        if arguments is None:
+            # The process ends: a search of all that it has for cycles would take half a second.
+            import gc
+
+            gc.freeze()
 
 
 def _run(program: str, commands: dict[str, str], package: str, words: list[str], signals: Signals) -> int:
