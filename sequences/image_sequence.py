@@ -174,7 +174,9 @@ class ImageSequence:
         counts.skipped = +counts.skipped
         if not counts.used:
             found = ", ".join(f"{count} × {reason}" for reason, count in counts.skipped.items()) or "none was read"
-            raise SequenceError(f"{self.path}: no image is left: {found}; expected at least one that can be used")
+            late = None if segment is None or latest_ns is None else segment.begins_after(latest_ns)
+            expected = late or "expected at least one that can be used"
+            raise SequenceError(f"{self.path}: no image is left: {found}; {expected}")
         self._judge(num_unlike, whole=not _stopped(segment))
 
     def _judge(self, num_unlike: int, *, whole: bool) -> None:

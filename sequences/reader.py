@@ -247,9 +247,12 @@ class SequenceReader:
         if self.counts.used == 0:
             found = ", ".join(f"{count} × {reason}" for reason, count in self.skipped.items()) or "nothing was skipped"
             problem = next(iter(pairing.skipped.problems.values()), "")
+            span = timeline.span_ns([("", name) for name in self._lenses])
+            late = None if span is None else pairing.segment.begins_after(span[1])
+            expected = late or "expected at least one that can be used"
             raise NoImageError(
                 f"{self.path}: no image left of {self.num_images} on {', '.join(self._lenses)}: {found}"
-                f"{problem}; {'; '.join([*notices, 'expected at least one that can be used'])}"
+                f"{problem}; {'; '.join([*notices, expected])}"
             )
         self.notices += notices
         if motion.has_no_true_pose and pairing.frames_span_ns is not None and roles.truth is not None:

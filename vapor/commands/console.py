@@ -22,6 +22,7 @@ from rich.text import Text
 from filtering.errors import VaporTrackError, shortened
 from vapor.commands.command_help import Command
 from vapor.commands.terminal import color_system, raise_of_output, width, wrapped, write, write_error
+from vapor.commands.wrong_arguments import what_is_wrong
 
 Options = TypeVar("Options")
 
@@ -81,7 +82,8 @@ def parse(command: str, options: type[Options], arguments: Sequence[str], progra
         usage_error(command, str(error), program)
     except SystemExit:
         if errors.getvalue():
-            usage_error(command, _unboxed(errors.getvalue()), program)
+            wrong = what_is_wrong(arguments, errors.getvalue(), Command.of(f"{program} {command}", options))
+            usage_error(command, wrong, program)
         raise
     finally:
         os.environ.pop("COLUMNS", None)
@@ -92,31 +94,6 @@ def parse(command: str, options: type[Options], arguments: Sequence[str], progra
 def show_help(command: Command) -> None:
     """Print what a command does and its options, in lines as wide as the terminal."""
     show(command.shown(width()))
-
-
-def _unboxed(text: str) -> str:
-    """The message in a box of tyro's, without help on options that were given."""
-    parts: list[list[str]] = [[]]
-    for line in text.splitlines()[1:-1]:
-        line = line.strip("│|").rstrip()
-        if line.strip(" ─-"):
-            parts[-1].append(line)
-        elif line:  # a rule between two parts
-            parts.append([])
-    sentences = [_missing(part) or " ".join(" ".join(part).split()) for part in parts]
-    return "; ".join(s for s in sentences if s and not s.startswith(("Argument helptext", "For full helptext")))
-
-
-def _missing(part: Sequence[str]) -> str:
-    """The options that are missing, each with its meaning; empty for a part of a message that lists none."""
-    if len(part) < 2 or not part[0].strip().startswith("Missing from "):
-        return ""
-    indent = len(part[1]) - len(part[1].lstrip())  # of a name; its meaning is indented further
-    text = ""
-    for line in part[1:]:
-        is_name = len(line) - len(line.lstrip()) == indent
-        text += f"; missing {line.split()[0]}:" if is_name else f" {line.strip()}"
-    return re.sub(r"\.? \(required\)", "", text).removeprefix("; ")
 
 
 def usage_error(command: str, message: str, program: str = "vapor-track") -> NoReturn:

@@ -14,7 +14,7 @@ from sequences.errors import SequenceError
 from sequences.outputs import results_folder
 from sequences.scenes import SCENES
 from sequences.synthesize import synthesize, write_synthetic
-from vapor.checkpoints.file_format import SHIPPED
+from vapor.checkpoints.file_format import shipped_models
 from vapor.commands.console import OutputPath, Overwrite, command_line, parse, show, show_files, usage_error
 from vapor.commands.progress import progress
 from vapor.commands.terminal import results_are_complete
@@ -29,7 +29,7 @@ _SEQUENCE = "sequence.mcap"
 if TYPE_CHECKING:
     _Scene = str
 else:  # those of which a model ships
-    _Scene = literal_type_from_choices([name for name in SCENES if (SHIPPED / f"{name}.safetensors").is_file()])
+    _Scene = literal_type_from_choices([name for name in SCENES if name in shipped_models()])
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ from vapor.commands.console import (
     show_skipped,
     usage_error,
 )
+from vapor.commands.model_name import ModelName
 from vapor.commands.progress import progress
 from vapor.commands.terminal import results_are_complete
 from vapor.pipeline.batch import PAGE, SUMMARY, find_sequences, is_batch, run_batch
@@ -41,8 +42,8 @@ class Options:
     sequences: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="SEQUENCE ...")]
     """MCAP files, rosbag2 folders or ROS 1 bags with images and odometry; or images alone: video files, or folders of
     images. Any other folder stands for all recordings and videos in it."""
-    model: str
-    """Model file, or name of a model that ships with the package: staircase, ceiling."""
+    model: ModelName
+    """Name of a model that ships with the package, or model file."""
     output: OutputPath
     """Directory for the results, new or with earlier ones; of several sequences it gets a folder each, and
     summary.html and summary.json on all of them."""
