@@ -6,6 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from filtering.errors import listed
 from vapor.evaluation.trajectory import RIGHT, THRESHOLDS
 from vapor.reporting.calibration import calibration_table
 from vapor.reporting.html.drawings import plan, reliability, status_strip
@@ -192,9 +193,8 @@ def _counts(report: Mapping[str, Any]) -> Block:
     if (hindsight := report["hindsight"]) is not None:
         rows.append(("smoothed poses of two possible places", str(hindsight["ambiguous"])))
         if carried_off := hindsight["carried_off_s"]:
-            more = f", {len(carried_off) - _NAMED} more" if len(carried_off) > _NAMED else ""
-            named = ", ".join(f"{each:.1f} s" for each in carried_off[:_NAMED])
-            rows.append(("carried off, in hindsight, after", named + more))
+            named = listed((f"{each:.1f} s" for each in carried_off), _NAMED)
+            rows.append(("carried off, in hindsight, after", named))
     if report["peak_rss_mb"] is not None:
         rows.append(("peak memory", f"{report['peak_rss_mb']:.0f} MB"))
     return table(("", ""), rows, "Images, time and memory")

@@ -42,13 +42,14 @@ def test_the_table_has_the_numbers_of_the_report(record):
 def test_calibration_is_shown_of_the_filter_and_of_smoothed_poses(record):
     report = build_report(record)
     smoothed = {"images": 140, "wrong": 0.0, "coverage": {"50%": 0.2, "90%": 0.42, "95%": 0.55}, "median_nees": 11.3}
-    report["hindsight"] = {"ambiguous": 0, "carried_off_s": [], "consistency": smoothed}
+    report["hindsight"] = {"ambiguous": 0, "carried_off_s": [1.0, 2.5, 9.0], "consistency": smoothed}
     cells = ReadPage.of(run_page(record, report, title="walk.mcap", settings=SETTINGS).html()).cells
     row = cells.index("particle filter", cells.index("median\nNEES"))
     filtered = report["consistency"]
     held = [f"{100 * part:.1f} %" for part in filtered["coverage"].values()]
     assert cells[row + 1 : row + 5] == [str(filtered["images"]), *held]
     assert cells[row + 7 : row + 14] == ["smoothed", "140", "20.0 %", "42.0 %", "55.0 %", "11.30", "0.0 %"]
+    assert cells[cells.index("carried off, in hindsight, after") + 1] == "1.0 s, 2.5 s and 9.0 s"
     assert cells[row + 14 : row + 21] == ["expected", "", "50 %", "90 %", "95 %", "5.35", "0 %"]
 
 
