@@ -1,10 +1,11 @@
-"""The one exception type that every error of this project derives from, how it quotes what was found, and the check of
-settings that raises it."""
+"""The one exception type that every error of this project derives from, how messages quote and list what was found, and
+the check of settings that raises it."""
 
 from __future__ import annotations
 
 import re
 import reprlib
+from collections.abc import Iterable
 
 MAX_MESSAGE = 1000
 """Characters of a message, at most."""
@@ -31,14 +32,14 @@ class VaporTrackError(Exception):
         """The message; of a long one, long paths lose beginnings and long words middles, except in commands."""
         text = super().__str__()
         if len(text) > _LONG_MESSAGE:
-            text = _LONG_PATH.sub(lambda found: found[1] or f"...{found[0][-_PATH_END:]}", text)
+            text = _LONG_PATH.sub(lambda found: found[1] or _end_of(found[0]), text)
         return shortened(text, MAX_MESSAGE)
 
 
 def shortened(message: str, length: int = MAX_MESSAGE) -> str:
     """A message of at most so many characters: the middle of long words goes, and of the whole only beyond that.
 
-    Commands of `vapor-track` between backticks keep their words.
+    Names in paths stay whole where there is room for any. Commands of `vapor-track` between backticks keep their words.
     """
     words, excess = message.split(" "), len(message) - min(length, _LONG_MESSAGE)
     kept = {word for command in re.findall(_COMMAND, message) for word in command.split(" ")}
@@ -53,11 +54,34 @@ def shortened(message: str, length: int = MAX_MESSAGE) -> str:
     return _without_middle(" ".join(words), length)
 
 
+def _end_of(path: str) -> str:
+    """Name and last folders of a path, as many as fit; the name alone is whole, however long."""
+    end = len(path.rstrip("/:;,"))
+    begin = path.find("/", len(path) - _PATH_END, end)
+    return f"...{path[begin if begin >= 0 else path.rindex('/', 0, end) :]}"
+
+
 def _without_middle(text: str, length: int) -> str:
     if len(text) <= length:
         return text
     end = (length - 1) // 3
-    return f"{text[: length - 1 - end]}…{text[len(text) - end :]}"
+    before, after = text[: length - 1 - end], text[len(text) - end :]
+    if " " not in text:  # names in a path stay whole
+        before, after = before[: before.rfind("/", 1) + 1] or before, after[max(after.find("/"), 0) :]
+    return f"{before}…{after}"
+
+
+def few(items: Iterable[object], most: int, *, others: str = "more") -> list[str]:
+    """All things as text, or the first so many and the number of the others: it is never 1, as that one is named."""
+    words = [str(item) for item in items]
+    return words if len(words) <= most + 1 else [*words[:most], f"{len(words) - most} {others}"]
+
+
+def listed(items: Iterable[object], most: int, separator: str = ", ", *, others: str = "more") -> str:
+    """`few` in a sentence: "a, b and c", "a, b and 2 more"; between semicolons "a; b; and 2 more"."""
+    words = few(items, most, others=others)
+    ends = [separator.join(words[:-1]), words[-1]] if len(words) > 1 else words
+    return f"{separator.strip(', ')} and ".join(ends)
 
 
 def quoted(value: object) -> str:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
-from filtering.errors import VaporTrackError, quoted
+from filtering.errors import VaporTrackError, few, quoted
 from filtering.se3 import Poses
 from filtering.storeys import up_axis
 
@@ -149,8 +149,7 @@ class _Label(NamedTuple):
 
     @property
     def text(self) -> str:
-        more = len(self.weights) - _WRITTEN
-        return " + ".join([*self.weights[:_WRITTEN], *([f"{more} more"] if more > 0 else [])])
+        return " + ".join(few(self.weights, _WRITTEN))
 
 
 def _labelled(labels: list[_Label], new: _Label) -> list[_Label]:

@@ -39,6 +39,11 @@ class FrameSource(Protocol):
         ...
 
     @property
+    def no_odometry(self) -> str:
+        """What was looked for where no odometry is recorded, for users; empty where some is, or none is wanted."""
+        ...
+
+    @property
     def image_description(self) -> str | None:
         """What the file says of the images, as `synthetic`; None where it says nothing."""
         ...
@@ -96,6 +101,11 @@ class ChangedSequence:
     def odometry_origin(self) -> OdometryOrigin | None:
         """See `FrameSource`."""
         return self._frames.odometry_origin
+
+    @property
+    def no_odometry(self) -> str:
+        """See `FrameSource`."""
+        return self._frames.no_odometry
 
     @property
     def image_description(self) -> str | None:

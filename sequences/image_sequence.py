@@ -73,6 +73,7 @@ class ImageSequence:
         notices: Sentences for users; complete after an iteration.
         camera: Intrinsics of the undistorted images; None where they are not stated.
         odometry_origin: None.
+        no_odometry: Empty: none is expected.
         has_stamps: Whether the time stamps of the images are stated; else their rate is assumed.
         num_images: Images in all, for progress; 0 where a video does not state it.
         image_description, odometry_description: None: no file states them.
@@ -87,6 +88,7 @@ class ImageSequence:
     """
 
     odometry_origin: OdometryOrigin | None = None
+    no_odometry: str = ""
     image_description: str | None = None
     odometry_description: str | None = None
 
@@ -202,7 +204,9 @@ class ImageSequence:
         counts.skipped = +counts.skipped
         if not counts.used:
             found = ", ".join(f"{count} × {reason}" for reason, count in counts.skipped.items()) or "none was read"
-            raise SequenceError(f"{self.path}: no image is left: {found}; expected at least one that can be used")
+            late = None if segment is None or latest_ns is None else segment.begins_after(latest_ns)
+            expected = late or "expected at least one that can be used"
+            raise SequenceError(f"{self.path}: no image is left: {found}; {expected}")
         if not _stopped(segment) and self._stop not in (np.inf, counts.read):
             fewer = clipped(slice(self._first, int(self._stop)), counts.read)
             self.notices += [] if fewer is None else [fewer]

@@ -17,6 +17,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from filtering.errors import listed
 from sequences.atomic import NEW, atomic_output, clear_leftovers, followed, is_workspace, move_in, workspace
 from sequences.errors import SequenceError
 
@@ -179,10 +180,8 @@ def unexpected_files(directory: Path, reads: Iterable[Path]) -> dict[str, str]:
 
 
 def short_list(names: Sequence[str]) -> str:
-    """Up to three names, and how many more there are."""
-    short = [name if len(name) <= 40 else f"{name[:39]}…" for name in names[:_NAMED]]
-    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-    return f"holds {', '.join(short)}{more}"
+    """Some three names, and how many more there are."""
+    return f"holds {listed((name if len(name) <= 40 else f'{name[:39]}…' for name in names), _NAMED)}"
 
 
 @contextmanager

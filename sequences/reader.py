@@ -36,6 +36,7 @@ class SequenceReader:
             None where it has none.
         base_from_camera: Extrinsics of the localized one, one pose; None where odometry is not read.
         odometry_origin: "recorded" where it is read; else None.
+        no_odometry: See `FrameSource`.
         num_images: Images in the whole file, for progress.
         image_description: Origin of the images by the file's metadata, as `synthetic`; None where it states none.
         odometry_description: Origin of the odometry, likewise.
@@ -105,8 +106,7 @@ class SequenceReader:
         accounts = chain.from_iterable(self._bag.account_for(name) for name in self._lenses)
         self._found_notices = [*self._roles.notices, *dict.fromkeys(accounts)]
         self._found_notices += self._roles.truth.notices if self._roles.truth is not None else []
-        if odometry == "auto" and self._roles.no_odometry:
-            self._found_notices.append(self._roles.no_odometry.removeprefix(f"{self.path}: "))
+        self.no_odometry = self._roles.no_odometry
         self.notices = list(self._found_notices)
 
     @property
@@ -253,9 +253,12 @@ class SequenceReader:
         if self.counts.used == 0:
             found = ", ".join(f"{count} × {reason}" for reason, count in self.skipped.items()) or "nothing was skipped"
             problem = next(iter(pairing.skipped.problems.values()), "")
+            span = timeline.span_ns([("", name) for name in self._lenses])
+            late = None if span is None else pairing.segment.begins_after(span[1])
+            expected = late or "expected at least one that can be used"
             raise NoImageError(
                 f"{self.path}: no image left of {self.num_images} on {', '.join(self._lenses)}: {found}"
-                f"{problem}; {'; '.join([*notices, 'expected at least one that can be used'])}"
+                f"{problem}; {'; '.join([*notices, expected])}"
             )
         self.notices += notices
         if motion.has_no_true_pose and pairing.frames_span_ns is not None and roles.truth is not None:

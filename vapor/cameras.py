@@ -14,6 +14,7 @@ from vapor.images import cover_size
 
 _SAME_PX = 0.5  # of the images that a network sees: too little for a network to notice
 _LEAST_FRACTION = 0.8  # of the view, below which there is a notice
+_ALLOWANCE = 1.5  # of the OOD score, for an image of which nothing is seen: parts need 0.5 to 1.5 times theirs
 
 
 class AsTakenBy:
@@ -55,9 +56,9 @@ class AsTakenBy:
         return resampled(image, camera, self._like)
 
     @property
-    def sees_less(self) -> bool:
-        """Whether images so far show much less than the camera's view; filled parts look out of distribution."""
-        return self.least_fraction < _LEAST_FRACTION
+    def ood_allowance(self) -> float:
+        """How much the parts that are filled in add to the OOD score of an image, at most."""
+        return _ALLOWANCE * (1.0 - self.least_fraction)
 
     @property
     def notices(self) -> list[str]:
@@ -69,11 +70,11 @@ class AsTakenBy:
             f" but the camera learned with is {described(self.camera)}"
             for (width, height), count in self._aspects.items()
         ]
-        if self.sees_less:
+        if self.least_fraction < _LEAST_FRACTION:
             found.append(
                 f"the camera ({described(next(iter(self.cameras)))}) sees {self.least_fraction:.0%} of what the camera"
                 f" learned with saw ({described(self.camera)}): expect larger errors, and certainty later;"
-                " none of its images is taken for one of another place"
+                " only those of its images that look very unlike the training are taken for ones of another place"
             )
         return found
 

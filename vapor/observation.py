@@ -177,7 +177,8 @@ class VaporObservationModel:
         if self.description.ood_model is None:
             return 0.0
         score = float(self.description.ood_model.ood_score(description[None])[0])
-        return min(score, OUT_OF_DISTRIBUTION) if self._as_learned.sees_less else score
+        is_unlike = score > OUT_OF_DISTRIBUTION + self._as_learned.ood_allowance
+        return score if is_unlike else min(score, OUT_OF_DISTRIBUTION)
 
 
 def _verifier(model: ModelDescription) -> LandmarkVerifier | None:

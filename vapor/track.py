@@ -25,7 +25,7 @@ COMMANDS = {
     "export": "write a trained model as an ONNX file, for robots without torch",
     "convert": "write a data set of images with true poses as an MCAP sequence",
     "synthesize": "render a sequence through a synthetic scene",
-    "completion": "print the script by which a shell completes commands and options",
+    "completion": "print the script by which a shell completes commands, options and names",
 }
 """Name -> description; each is a module of `vapor.commands`, imported only when it is called."""
 
@@ -60,7 +60,9 @@ def run_program(program: str, about: str, commands: dict[str, str], package: str
         try:
             if not words or words[0] in ("-h", "--help"):
                 write(f"{overview(f'{program} COMMAND', about, commands)}\n")
-                write(wrapped(f"`{program} COMMAND --help` lists a command's options."))
+                write(
+                    wrapped(f"`{program} COMMAND --help` lists a command's options, `{program} --version` its version.")
+                )
                 return 0 if words else 2
             return _run(program, commands, package, words, signals)
         finally:
@@ -77,6 +79,11 @@ def run_program(program: str, about: str, commands: dict[str, str], package: str
         return 1
     finally:
         signals.working, signals.silent = False, True
+        if arguments is None:
+            # The process ends: a search of all that it has for cycles would take half a second.
+            import gc
+
+            gc.freeze()
 
 
 def _run(program: str, commands: dict[str, str], package: str, words: list[str], signals: Signals) -> int:
@@ -90,7 +97,7 @@ def _run(program: str, commands: dict[str, str], package: str, words: list[str],
         write(f"{program} {importlib.import_module('importlib.metadata').version('vapor-track')}")
         return 0
     if name not in commands:
-        near = importlib.import_module("difflib").get_close_matches(name, commands, 1)
+        near = importlib.import_module("difflib").get_close_matches(name, [*commands, "--help", "--version"], 1)
         meant = f"did you mean {near[0]}? Expected" if near else "expected"
         write_error(f"{program}: unknown command {shortened(repr(name), 60)}, {meant} one of {', '.join(commands)}")
         return 2

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
+from filtering.errors import listed
 from sequences.errors import NotFoundError, SequenceError
 from sequences.inertial.barometer import Barometer, Ride
 from sequences.inertial.samples import InertialSamples, InertialUnit
@@ -18,6 +20,7 @@ from sequences.recordings.source import MessageSource, Topic, choose, first
 IMU_TYPE, PRESSURE_TYPE = "sensor_msgs/Imu", "sensor_msgs/FluidPressure"
 _AS_MANY = 0.8  # of the most messages: topics of one rate
 _FEWEST = 10
+_NAMED = 3  # topics, in a sentence
 
 
 def find_inertial(
@@ -39,20 +42,38 @@ def find_inertial(
     """
     topics = _candidates(bag, "imu", IMU_TYPE, options.imu_topic)
     problems: list[str] = []
+    unlinked: dict[str, str] = {}  # frames of topics, by their names
     for topic in topics:
         try:
             unit = frame_name(first(bag, topic).header.frame_id)
-            mount = find_extrinsics(
-                bag, unit, camera_frame, body_is=f" ({topic.name})", camera_is=camera_is, instead="--imu-topic ''"
-            )
-        except (NotFoundError, SequenceError) as error:
+        except SequenceError as error:
             if options.imu_topic is not None:
                 raise
             problems.append(f"{topic.name} is not used: {str(error).removeprefix(f'{bag.path}: ')}")
             continue
+        try:
+            mount = find_extrinsics(
+                bag, unit, camera_frame, body_is=f" ({topic.name})", camera_is=camera_is, instead="--imu-topic ''"
+            )
+        except NotFoundError:
+            if options.imu_topic is not None:
+                raise
+            unlinked[topic.name] = unit
+            continue
         notices = [f"{topic.name} is the inertial unit of {len(topics)} (--imu-topic)"] if len(topics) > 1 else []
         return InertialUnit(topic.name, mount.body_from_camera.rotation.T), notices
+    if unlinked:
+        problems.append(_not_linked(unlinked, f"{camera_frame!r}{camera_is}"))
     return None, problems
+
+
+def _not_linked(units: Mapping[str, str], camera: str) -> str:
+    """That tf does not link the frames of some topics, as of a gyroscope and an accelerometer, to the camera's."""
+    frames = listed((repr(frame) for frame in dict.fromkeys(units.values())), _NAMED)
+    return (
+        f"{listed(units, _NAMED)} {'are' if len(units) > 1 else 'is'} not used: no transforms on /tf_static or /tf lead"
+        f" from {frames} to {camera}; record them, or name --camera-frame"
+    )
 
 
 def find_barometer(bag: MessageSource, options: ReadingOptions) -> Barometer | None:

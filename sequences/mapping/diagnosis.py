@@ -7,6 +7,7 @@ from collections.abc import Collection, Iterator, Sequence
 import numpy as np
 from jaxtyping import Bool
 
+from filtering.errors import listed
 from sequences.mapping.colmap import LEAST, Match, Reconstructed
 from sequences.mapping.walks import Walk
 
@@ -103,14 +104,14 @@ def _cuts(walk: Walk, begin: int, placed: Bool[np.ndarray, " k"], matches: Seque
 
 
 def _spans(walk: Walk, which: Bool[np.ndarray, " k"]) -> str:
-    """The times of runs of images, the longest ones."""
+    """The times of runs of images, or of the longest ones and the number of the others."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], which, [False]]).astype(int)))
     runs = sorted(zip(edges[::2].tolist(), (edges[1::2] - 1).tolist(), strict=True), key=lambda run: run[0] - run[1])
     named = [
         walk.when(first) if first == last else f"{walk.when(first)} to {walk.when(last)}"
-        for first, last in sorted(runs[:_MOST])
+        for first, last in [*sorted(runs[:_MOST]), *runs[_MOST:]]
     ]
-    return ", ".join(named) + (f" and {len(runs) - _MOST} more" if len(runs) > _MOST else "")
+    return listed(named, _MOST)
 
 
 def _spans_of(walks: Sequence[Walk], indices: Collection[int]) -> str:

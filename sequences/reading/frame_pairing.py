@@ -39,6 +39,7 @@ class RequestedSegment:
 
     def __init__(self, begin_ns: int, start_s: float, duration_s: float | None) -> None:
         self.is_stopped = False
+        self._begin_ns, self._start_s = begin_ns, start_s
         self._first_ns = begin_ns + round(start_s * 1e9) if start_s else None
         self._last_ns = None if duration_s is None else begin_ns + round((start_s + duration_s) * 1e9)
 
@@ -49,6 +50,13 @@ class RequestedSegment:
     def ends_before(self, time_ns: int) -> bool:
         """Whether all images from a time on lie behind the segment."""
         return self.is_stopped or (self._last_ns is not None and time_ns > self._last_ns)
+
+    def begins_after(self, end_ns: int) -> str | None:
+        """Where the last image, of this stamp, lies before the segment: what is expected instead."""
+        if self._first_ns is None or self._first_ns <= end_ns:
+            return None
+        lasts_s = (end_ns - self._begin_ns) * 1e-9
+        return f"the images last {lasts_s:.1f} s, expected --start-s below that, not {self._start_s:g}"
 
 
 class _Taken(NamedTuple):

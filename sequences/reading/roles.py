@@ -18,7 +18,17 @@ from sequences.reading.pose_sources import PoseSource, odometry_of_topic
 from sequences.reading.rig import find_cameras
 from sequences.reading.timeline import Key, Timeline
 from sequences.recordings.messages import frame_name
-from sequences.recordings.source import TF, TF_STATIC, MessageSource, RawMessage, Topic, choose, decode, first
+from sequences.recordings.source import (
+    TF,
+    TF_STATIC,
+    MessageSource,
+    RawMessage,
+    Topic,
+    choose,
+    decode,
+    first,
+    several_robots,
+)
 
 ODOMETRY_TYPE = "nav_msgs/Odometry"
 """Type of the messages of odometry."""
@@ -46,7 +56,7 @@ class Roles:
             camera.open_images(self.path)  # what it needs may not be installed
         self.image = self.cameras[0].image
         self.odometry_required = odometry in ("required", "auto")
-        self.no_odometry = ""  # why there is none, where there need not be any
+        self.no_odometry = ""  # what was looked for where none is recorded, for users
         self.truth_required = true_poses == "required"
         self.odometry: Topic | None = None
         self.odometry_frame = ""  # that its poses are in, where it is read
@@ -61,7 +71,12 @@ class Roles:
             except SequenceError as error:
                 if self.odometry_required and not (odometry == "auto" and isinstance(error, NoOdometryError)):
                     raise
-                self.no_odometry, self.odometry_required = str(error), False
+                if odometry == "auto":
+                    self.no_odometry = (
+                        f"no topic is of type {ODOMETRY_TYPE}, and in tf {self.camera_frame or 'the camera'} does not"
+                        f" move in a frame odom{several_robots(bag)}"
+                    )
+                self.odometry_required = False
                 self.odometry = self.tree_odometry = self.extrinsics = None
         needed = self.truth_required and options.ground_truth_topic != ""  # an empty name asks for none
         self.truth = find_true_poses(bag, options, mount, required=needed, odometry=self._odometry_track)

@@ -17,6 +17,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Int64
 
+from filtering.errors import listed
 from sequences.errors import SequenceError
 from sequences.recordings.message_definitions import begins_with_stamp
 from sequences.recordings.messages import stamp_ns
@@ -222,8 +223,7 @@ class Timeline:
                     steps.append(found)
                 found[2].append(key)
         return [
-            f"the clock of {' -> '.join(filter(None, keys[0]))}{f' and {len(keys) - 1} more' if len(keys) > 1 else ''}"
-            f" was set by"
+            f"the clock of {listed((' -> '.join(filter(None, key)) for key in keys), 1)} was set by"
             f" {by_ns * 1e-9:+.3f} s at {time_ns * 1e-9:.3f} s: all stamps are given by one clock"
             for time_ns, by_ns, keys in sorted(steps, key=lambda step: step[0])
         ]

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from filtering.errors import quoted
+from filtering.errors import listed, quoted
 from sequences.errors import SequenceError
 from sequences.files import read_yaml, require_inside, unused_part
 from sequences.recordings.mcap_file import LatestChunks, McapFile
@@ -179,8 +179,7 @@ class _Listing:
     @property
     def unlisted_names(self) -> str:
         """The first three of the unlisted files, and the number of others."""
-        others = f" and {len(self.unlisted) - 3} more" if len(self.unlisted) > 3 else ""
-        return ", ".join(quoted(name) for name in self.unlisted[:3]) + others
+        return listed(map(quoted, self.unlisted), 3)
 
 
 def _read_listing(folder: Path) -> _Listing:

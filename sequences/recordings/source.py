@@ -9,7 +9,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
 
-from filtering.errors import quoted
+from filtering.errors import listed, quoted
 from sequences.errors import NotFoundError, SequenceError
 from sequences.recordings import foxglove, serializations
 from sequences.recordings.messages import frame_name
@@ -204,10 +204,9 @@ def choose(
         if not candidates and not required:
             return None
         if not candidates:
-            robots = [topic.name for topic in bag.topics.values() if topic.is_ros_tf]
-            of_one = f"; tf is of {len(robots)} robots, name one by --tf-topic" if len(robots) > 1 else ""
             raise NotFoundError(
-                f"{bag.path}: no {role} topic, expected one of type {expected}{of_one}; {listing(bag.topics.values())}"
+                f"{bag.path}: no {role} topic, expected one of type {expected}{several_robots(bag)};"
+                f" {listing(bag.topics.values())}"
             )
         if len(candidates) > 1:
             none = "" if required else ", or '' for none"
@@ -224,12 +223,17 @@ def choose(
     return chosen
 
 
+def several_robots(bag: MessageSource) -> str:
+    """The part of a sentence that asks which robot's tf to read; empty where there is one at most."""
+    robots = sum(topic.is_ros_tf for topic in bag.topics.values())
+    return f"; tf is of {robots} robots, name one by --tf-topic" if robots > 1 else ""
+
+
 def listing(topics: Iterable[Topic]) -> str:
     """Topics with their types, for errors: as many as fit, and the number of others."""
     found = [f"{topic.name} ({topic.type})" for topic in topics]
     fitting = [text for text, end in zip(found, accumulate(map(len, found)), strict=True) if end <= _LISTED]
-    more = f" and {len(found) - len(fitting)} more" if len(fitting) < len(found) else ""
-    return f"found {', '.join(fitting)}{more}" if found else "found no topics"
+    return f"found {listed(found, len(fitting))}" if found else "found no topics"
 
 
 def decode(bag: MessageSource, raw: RawMessage, *, tolerate: bool = False) -> Any:

@@ -107,7 +107,8 @@ class Running:
         return self.error
 
     def status(self) -> Any:
-        """The latest diagnostics."""
+        """The latest diagnostics, the first of which are waited for."""
+        self.wait(lambda: self.transport.published["/diagnostics"])
         return self.messages("diagnostics")[-1].status[0]
 
     def values(self) -> dict[str, str]:

@@ -209,6 +209,11 @@ def is_model(path: Path) -> bool:
     return format_of(path) == FORMAT
 
 
+def shipped_models() -> tuple[str, ...]:
+    """Names of the models that ship."""
+    return tuple(sorted(file.stem for file in SHIPPED.glob("*.safetensors")))
+
+
 def find_model(name_or_path: str) -> Path:
     """The file of a model: by its path, or by the name of a model that ships.
 
@@ -221,5 +226,5 @@ def find_model(name_or_path: str) -> Path:
     shipped = SHIPPED / f"{name_or_path}.safetensors"
     if path.name == name_or_path and shipped.is_file():
         return shipped
-    names = ", ".join(sorted(p.stem for p in SHIPPED.glob("*.safetensors"))) or "none"
+    names = ", ".join(shipped_models()) or "none"
     raise CheckpointError(f"{name_or_path}: no such model file, expected one, or a model that ships: {names}")

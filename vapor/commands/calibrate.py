@@ -16,6 +16,7 @@ from sequences.outputs import refuse_other
 from vapor.allocation import keep_freed_memory
 from vapor.checkpoints.file_format import find_model, is_model
 from vapor.commands.console import OutputPath, Overwrite, parse, show, show_notices, show_skipped, usage_error
+from vapor.commands.model_name import ModelName
 from vapor.commands.progress import progress
 from vapor.engines.engine import Device
 from vapor.evaluation.reliability import Reliability
@@ -31,8 +32,8 @@ _BAR, _MARK, _WIDTH = "=", "|", 36  # of the diagram, characters
 class Options:
     """Calibrate a trained model on held-out sequences with true poses; its weights stay as they are."""
 
-    model: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="MODEL")]
-    """Model file, or name of a model that ships."""
+    model: tyro.conf.Positional[ModelName]
+    """Name of a model that ships with the package, or model file."""
     data: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="DATA ...")]
     """MCAP files or data set folders that it was not trained on. PATH@100:200 takes only images 100 to 199."""
     output: OutputPath

@@ -29,6 +29,13 @@ class Option:
     default: str | None
     """As one would type it; None where it must be given, where there is none, or where `help` says it."""
     required: bool
+    choices: Sequence[str] = ()
+    """Names that it takes, or takes beside others: those in braces in `value`."""
+
+    @property
+    def expected(self) -> str:
+        """What it takes, in words."""
+        return " or ".join(map(_in_words, self.value.strip("[]").split("|")))
 
     @property
     def title(self) -> str:
@@ -73,7 +80,8 @@ class Command:
         options = [option for _, group in self.groups.values() for option in group]
         arguments = [option.value for option in options if not option.names]
         needed = [f"{option.names[0]} {option.value}" for option in options if option.names and option.required]
-        return " ".join([self.words, *arguments, *needed, "[OPTIONS]"])
+        others = ["[OPTIONS]"] if any(option.names and not option.required for option in options) else []
+        return " ".join([self.words, *arguments, *needed, *others])
 
     def shown(self, columns: int) -> Text:
         """Its help in lines of so many characters."""
@@ -130,7 +138,8 @@ def _option(action: Any) -> Option:
         default = names[default == "False"] if len(names) == 2 else None
     elif default is not None and re.fullmatch(r"\d+\.0", default) and float(default) >= _LARGE:
         default = f"{float(default):g}"
-    return Option(names, "" if action.nargs == 0 else _value(str(action.metavar or "")), text, default, required)
+    metavar = "" if action.nargs == 0 else str(action.metavar or "")
+    return Option(names, _value(metavar), text, default, required, _choices(metavar))
 
 
 def _value(metavar: str) -> str:
@@ -138,3 +147,22 @@ def _value(metavar: str) -> str:
     value = re.sub(r"^\{None\}\||(?<=\{)None,", "", metavar)
     value = re.sub(r"\{([A-Z]+(?: [A-Z]+)*|[a-z]+)\}", r"\1", value)
     return re.sub(r"\[(\w+) \[\1 \.\.\.\]\]", r"[\1 ...]", value)
+
+
+def _choices(metavar: str) -> Sequence[str]:
+    """The names in braces, such as those of `{None}|{up,down}`: a kind of value is written in capitals."""
+    groups = re.findall(r"\{([^{} ]*)\}", metavar)
+    return [name for group in groups for name in group.split(",") if name not in ("None", "True", "False")]
+
+
+def _in_words(value: str) -> str:
+    """One of the kinds of value that an option takes."""
+    kinds = {"INT": "a whole number", "FLOAT": "a number", "STR": "text", "PATH": "a path"}
+    words = value.split()
+    if len(words) > 1 and set(words) == {"FLOAT"}:
+        return f"{len(words)} numbers"
+    if words[1:] == ["..."]:
+        return f"{kinds.get(words[0], words[0])}, once or more"
+    if value.startswith("{"):
+        return f"one of {value.strip('{}').replace(',', ', ')}"
+    return kinds.get(value, value)

@@ -9,6 +9,7 @@ import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from contextlib import redirect_stderr
+from copy import copy
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, NoReturn, TypeVar
@@ -21,6 +22,7 @@ from rich.text import Text
 from filtering.errors import VaporTrackError, shortened
 from vapor.commands.command_help import Command
 from vapor.commands.terminal import color_system, raise_of_output, width, wrapped, write, write_error
+from vapor.commands.wrong_arguments import what_is_wrong
 
 Options = TypeVar("Options")
 
@@ -80,7 +82,8 @@ def parse(command: str, options: type[Options], arguments: Sequence[str], progra
         usage_error(command, str(error), program)
     except SystemExit:
         if errors.getvalue():
-            usage_error(command, _unboxed(errors.getvalue()), program)
+            wrong = what_is_wrong(arguments, errors.getvalue(), Command.of(f"{program} {command}", options))
+            usage_error(command, wrong, program)
         raise
     finally:
         os.environ.pop("COLUMNS", None)
@@ -93,31 +96,6 @@ def show_help(command: Command) -> None:
     show(command.shown(width()))
 
 
-def _unboxed(text: str) -> str:
-    """The message in a box of tyro's, without help on options that were given."""
-    parts: list[list[str]] = [[]]
-    for line in text.splitlines()[1:-1]:
-        line = line.strip("│|").rstrip()
-        if line.strip(" ─-"):
-            parts[-1].append(line)
-        elif line:  # a rule between two parts
-            parts.append([])
-    sentences = [_missing(part) or " ".join(" ".join(part).split()) for part in parts]
-    return "; ".join(s for s in sentences if s and not s.startswith(("Argument helptext", "For full helptext")))
-
-
-def _missing(part: Sequence[str]) -> str:
-    """The options that are missing, each with its meaning; empty for a part of a message that lists none."""
-    if len(part) < 2 or not part[0].strip().startswith("Missing from "):
-        return ""
-    indent = len(part[1]) - len(part[1].lstrip())  # of a name; its meaning is indented further
-    text = ""
-    for line in part[1:]:
-        is_name = len(line) - len(line.lstrip()) == indent
-        text += f"; missing {line.split()[0]}:" if is_name else f" {line.strip()}"
-    return re.sub(r"\.? \(required\)", "", text).removeprefix("; ")
-
-
 def usage_error(command: str, message: str, program: str = "vapor-track") -> NoReturn:
     """Exit with status 2 and one line."""
     write_error(f"{program} {command}: {message}")
@@ -125,11 +103,18 @@ def usage_error(command: str, message: str, program: str = "vapor-track") -> NoR
 
 
 def show(content: str | Text | Table) -> None:
-    """Print text or a table on standard output; no line is longer than fits but where a table's words would be cut."""
+    """Print text or a table on standard output; no line is longer than fits but where a table's words would be cut.
+
+    A table's title is a line of text above it: it may name a file, and Rich would fold it within a word.
+    """
     if isinstance(content, str):
         at_terminal = sys.stdout is not None and sys.stdout.isatty()
         write("\n".join(map(wrapped, content.splitlines())) if at_terminal else content)
         return
+    if isinstance(content, Table) and content.title is not None:
+        show(str(content.title))
+        content = copy(content)
+        content.title = None
     console = Console(highlight=False, markup=False, width=width(), color_system=color_system())
     if isinstance(content, Table) and any("…" in segment.text for segment in console.render(content)):
         console.width = console.measure(content, options=console.options.update_width(_WIDE)).maximum

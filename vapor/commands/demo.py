@@ -14,7 +14,7 @@ from sequences.errors import SequenceError
 from sequences.outputs import results_folder
 from sequences.scenes import SCENES
 from sequences.synthesize import synthesize, write_synthetic
-from vapor.checkpoints.file_format import SHIPPED
+from vapor.checkpoints.file_format import shipped_models
 from vapor.commands.console import OutputPath, Overwrite, command_line, parse, show, show_files, usage_error
 from vapor.commands.progress import progress
 from vapor.commands.terminal import results_are_complete
@@ -25,12 +25,11 @@ from vapor.pipeline.run import run_into
 from vapor.reporting.report import format_table
 
 _SEQUENCE = "sequence.mcap"
-_METHODS = ("single_image", "dead_reckoning", "filter")
 
 if TYPE_CHECKING:
     _Scene = str
 else:  # those of which a model ships
-    _Scene = literal_type_from_choices([name for name in SCENES if (SHIPPED / f"{name}.safetensors").is_file()])
+    _Scene = literal_type_from_choices([name for name in SCENES if name in shipped_models()])
 
 
 @dataclass(frozen=True)
@@ -65,6 +64,5 @@ def main(arguments: Sequence[str]) -> None:
             command = command_line("demo", arguments)
             result = run_into(directory, directory / _SEQUENCE, model, config, progress=advance, command=command)
     results_are_complete()
-    shown = {name: result.report[name] for name in _METHODS if name in result.report}
-    show(format_table(shown, title=f"{options.scene}, {result.report['frames']} synthetic images"))
+    show(format_table(result.report, title=f"{options.scene}, {result.report['frames']} synthetic images"))
     show_files(output, recording=True)

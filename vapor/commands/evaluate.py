@@ -56,6 +56,9 @@ def evaluate_directory(
     if columns is not None and ground_truth is None:
         raise VaporTrackError("--columns without --ground-truth, expected a file that has them")
     require_columns("--columns", columns)
+    if directory.is_file():
+        meant = f", did you mean {directory.parent}?" if (directory.parent / FILES["filter"]).is_file() else ""
+        raise VaporTrackError(f"{directory}: is a file, expected a directory that `vapor-track run` wrote{meant}")
     if not directory.is_dir():
         raise VaporTrackError(f"{directory}: no such directory, expected one that `vapor-track run` wrote")
     if not (directory / FILES["filter"]).is_file():

@@ -11,6 +11,7 @@ import tyro
 from sequences.outputs import refuse_other
 from vapor.checkpoints.file_format import ONNX, find_model, is_onnx, load_checkpoint
 from vapor.commands.console import OutputPath, Overwrite, parse, show, usage_error
+from vapor.commands.model_name import ModelName
 from vapor.engines.onnx_export import export_onnx
 from vapor.engines.onnx_file import is_exported
 
@@ -19,8 +20,8 @@ from vapor.engines.onnx_file import is_exported
 class Options:
     """Write a trained model as an ONNX file, checked against torch; docs/export.md lists its inputs and outputs."""
 
-    model: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="MODEL")]
-    """Model file, or name of a model that ships with the package."""
+    model: tyro.conf.Positional[ModelName]
+    """Name of a model that ships with the package, or model file."""
     output: Annotated[tyro.conf.Positional[OutputPath], tyro.conf.arg(metavar="OUT.onnx")]
     """ONNX file to write, new or exported before."""
     overwrite: Overwrite = False

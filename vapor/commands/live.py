@@ -13,6 +13,7 @@ import tyro
 from sequences.live.transport import DdsOptions
 from sequences.options import ReadingOptions
 from vapor.commands.console import parse, show, show_skipped
+from vapor.commands.model_name import ModelName
 from vapor.commands.terminal import flush_output
 from vapor.robot.config import LiveConfig
 from vapor.robot.live import live
@@ -22,8 +23,8 @@ from vapor.robot.live import live
 class Options:
     """Localize a robot from its ROS 2 topics while it moves; publish its pose, tf and diagnostics until Ctrl-C."""
 
-    model: str
-    """Model file, or one that ships: staircase, ceiling."""
+    model: ModelName
+    """Name of a model that ships with the package, or model file."""
     system: Annotated[DdsOptions, tyro.conf.arg(name="")] = field(default_factory=DdsOptions)
     reading: Annotated[ReadingOptions, tyro.conf.arg(name="")] = field(default_factory=ReadingOptions)
     config: Annotated[LiveConfig, tyro.conf.arg(name="")] = field(default_factory=LiveConfig)

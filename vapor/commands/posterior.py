@@ -17,6 +17,7 @@ from sequences.datasets.listing import files_read
 from sequences.outputs import refuse_other
 from vapor.checkpoints.file_format import find_model
 from vapor.commands.console import OutputPath, Overwrite, parse, show, show_notices
+from vapor.commands.model_name import ModelName
 from vapor.engines.engine import Device, EngineConfig
 from vapor.engines.start import describe
 from vapor.evaluation.trajectory import THRESHOLDS
@@ -38,8 +39,8 @@ class Options:
     overwrite: Overwrite = False
     recording: bool = False
     """Write the posterior in space for the Rerun viewer as well, beside the picture, as .rrd."""
-    model: str = "staircase"
-    """Model file, or name of a model that ships with the package."""
+    model: ModelName = "staircase"
+    """Name of a model that ships with the package, or model file."""
     image: int = 0
     """Which of the images with a true pose, from 0."""
     num_samples: int = 1000

@@ -23,12 +23,14 @@ from vapor.commands.console import (
     show_skipped,
     usage_error,
 )
+from vapor.commands.model_name import ModelName
 from vapor.commands.progress import progress
 from vapor.commands.terminal import results_are_complete
 from vapor.pipeline.batch import PAGE, SUMMARY, find_sequences, is_batch, run_batch
 from vapor.pipeline.config import RunConfig
 from vapor.pipeline.results import RunResult
 from vapor.pipeline.run import run
+from vapor.reporting.calibration import format_calibration
 from vapor.reporting.outcome import Outcome, format_batch, total
 from vapor.reporting.report import format_table
 
@@ -41,8 +43,8 @@ class Options:
     """MCAP files, rosbag2 folders or ROS 1 bags with images and odometry; or images alone: video files, folders of
     images, or data set folders, whose true poses are compared with; of these, PATH@100:200 takes only images 100 to
     199. Any other folder stands for all of these in it."""
-    model: str
-    """Model file, or name of a model that ships with the package: staircase, ceiling."""
+    model: ModelName
+    """Name of a model that ships with the package, or model file."""
     output: OutputPath
     """Directory for the results, new or with earlier ones; of several sequences it gets a folder each, and
     summary.html and summary.json on all of them."""
@@ -102,6 +104,8 @@ def show_run(result: RunResult, output: Path, *, title: str, recording: bool, la
     report = result.report
     if report["frames_with_true_pose"]:
         show(format_table(report, title=title, large_errors=large_errors))
+        if (calibration := format_calibration(report)) is not None:
+            show(calibration)
     status = ", ".join(f"{100 * fraction:.0f} % {name}" for name, fraction in report["status"].items())
     show(f"{report['frames']} images: {status}")
     for name, each in report.get("cameras", {}).items():
@@ -111,6 +115,8 @@ def show_run(result: RunResult, output: Path, *, title: str, recording: bool, la
         show(f"landmarks  verify a place in {100 * report['verified']:.0f} % of the images")
     show(f"images     {count_images(report['images'])}")
     show_skipped(report["skipped"])
+    if result.motion:
+        show(f"odometry   {result.motion}")
     show_notices(result.notices)
     if result.engine:
         show(f"engine     {result.engine}")

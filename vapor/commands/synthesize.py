@@ -12,7 +12,7 @@ from sequences.errors import SequenceError
 from sequences.inertial.simulation import InertialNoise
 from sequences.outputs import refuse_other
 from sequences.paths import Cues
-from sequences.scenes import scene_names
+from sequences.scenes import SCENES
 from sequences.synthesize import synthesize, write_synthetic
 from sequences.writer import is_own_sequence
 from vapor.commands.console import OutputPath, Overwrite, parse, show, usage_error
@@ -23,7 +23,7 @@ from vapor.commands.progress import progress
 class Options:
     """Render a sequence through a synthetic scene, with odometry and true poses."""
 
-    scene: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="{" + ",".join(scene_names()) + "}")]
+    scene: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar=f"{{{','.join(SCENES)}}}|building-N")]
     """The scene. The number N is the seed of a building, which has a camera and an odometry of its own."""
     output: Annotated[tyro.conf.Positional[OutputPath], tyro.conf.arg(metavar="OUT.mcap")]
     """MCAP file to write, new or synthesized before."""

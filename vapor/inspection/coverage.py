@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
+from filtering.errors import listed
 from filtering.storeys import find_storeys, up_axis
 from vapor.training.config import TrainConfig
 from vapor.training.holding_out import AWAY, WHOLE_OF, hold_out, long_runs, shown_by, way_of
@@ -61,9 +62,8 @@ class Storey:
     trained: int
 
     def __str__(self) -> str:
-        names = ", ".join(self.names[:_NAMED]) + (", ..." if len(self.names) > _NAMED else "")
         images = f"{self.images} image{'s' * (self.images != 1)}"
-        return f"storey {self.number} ({height(self.low_m, self.high_m)}): {images}, of {names}"
+        return f"storey {self.number} ({height(self.low_m, self.high_m)}): {images}, of {listed(self.names, _NAMED)}"
 
 
 @dataclass(frozen=True)

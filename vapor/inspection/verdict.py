@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from filtering.errors import listed
 from vapor.inspection.camera import CameraCheck
 from vapor.inspection.clocks import ImageClock
 from vapor.inspection.coverage import Coverage
@@ -288,5 +289,4 @@ def _model(coverage: Coverage, predictions: Predictions) -> Iterator[str]:
 
 
 def _first(items: Sequence[object]) -> str:
-    more = f"; and {len(items) - _NAMED} more" if len(items) > _NAMED else ""
-    return "; ".join(map(str, items[:_NAMED])) + more
+    return listed(items, _NAMED, "; ")

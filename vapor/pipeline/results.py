@@ -12,6 +12,7 @@ from typing import Any
 from sequences.atomic import atomic_output
 from sequences.frame import Trajectory
 from sequences.trajectories.tum import write_tum
+from vapor.reporting.calibration import too_sure_notices
 from vapor.reporting.html.page import write_page
 from vapor.reporting.html.run_page import run_page
 from vapor.reporting.record import RunRecord
@@ -36,13 +37,15 @@ RESULTS = frozenset(
 class RunResult:
     """The result of a run: everything collected on the way, the content of `report.json`, warnings and hints.
 
-    `engine` has engine, device and precision of the network; empty without one.
+    `engine` has engine, device and precision of the network; empty without one. `motion` says what stands in for
+    recorded odometry; empty where that is used.
     """
 
     record: RunRecord
     report: dict[str, Any]
     notices: tuple[str, ...] = ()
     engine: str = ""
+    motion: str = ""
 
     @property
     def few_images(self) -> str | None:
@@ -72,7 +75,7 @@ def write_results(
     with atomic_output(directory / "config.json") as partial:
         partial.write_text(json.dumps(settings, indent=2) + "\n", encoding="utf-8")
     report = build_report(record)
-    about_poses = [*camera_notices(report), *filter(None, [doubtful_notice(record)])]
+    about_poses = [*camera_notices(report), *filter(None, [doubtful_notice(record)]), *too_sure_notices(report)]
     all_notices = (*filter(None, [place_notice(report)]), *notices, *about_poses)
     report["notices"] = [*all_notices]
     write_report(directory / "report.json", report)

@@ -48,8 +48,6 @@ from vapor.training_data.entries import parse_entry
 from vapor.training_data.ground import describe_unshown
 from vapor.versions import version_of
 
-_NO_ODOMETRY = "no odometry: each hypothesis moves by an unknown velocity from image to image"
-_VISUAL = "no odometry: it is made from the images, in a unit that the filter finds; dead reckoning is in that unit"
 _SAMPLED, _END_BYTES = 100, 4096  # files of a sequence, of which both ends count
 _MOST_KEPT = 7  # images in which landmarks verified a place
 _VerifiedImage = tuple[int, UInt8[np.ndarray, "h w 3"], Camera | None, list[VerifiedPose]]
@@ -202,12 +200,14 @@ def run_into(
                 "images": frames.num_images,
                 "image_source": frames.image_description,
                 "odometry": frames.odometry_description,
+                "motion": _motion(frames, config),
+                "no_odometry": frames.no_odometry,
             },
             "model": {"name": model.name, "sha256": model.sha256},
             "run": asdict(config) | engine,
             "reading": asdict(reading) | frames.resolved,
         }
-        notices = [*_about_odometry(frames, config), *frames.notices, *observation.notices, *verticals.notices]
+        notices = [*frames.notices, *observation.notices, *verticals.notices]
         if are_unrecognised(record.status) and observation.description.ood_model is not None:
             notices.insert(0, why_unrecognised(some.items, observation.ood_score, observation.is_verified))
         if (trained := observation.description.memory_poses) is not None:
@@ -216,7 +216,9 @@ def run_into(
                 found = None if record.inliers is None else record.inliers > 0
                 notices += filter(None, [describe_unshown(record.methods["smoothed"].poses, trained, verified=found)])
         result = write_results(record, directory, settings, title=sequence.name, notices=notices, command=command)
-        return replace(result, engine=f"{engine['engine']} on {engine['device']}, {config.precision}")
+        used = f"{engine['engine']} on {engine['device']}, {config.precision}"
+        missing = f"; none is recorded: {frames.no_odometry}" if frames.no_odometry else ""
+        return replace(result, engine=used, motion=_motion(frames, config) + missing)
 
 
 def _open(sequence: Path, reading: SequenceOptions, config: RunConfig, cameras: Sequence[str]) -> FrameSource:
@@ -280,11 +282,14 @@ def _with_inertial(frames: FrameSource, reading: SequenceOptions, *, usual_up: U
     return InertialSequence(frames, samples, [*notices, *of_pressure], rides=rides, usual_up=usual_up)
 
 
-def _about_odometry(frames: FrameSource, config: RunConfig) -> list[str]:
-    """Where the motion comes from, for users, where that is not recorded odometry or as they asked for."""
-    if frames.odometry_origin == "visual" and config.odometry == "auto":
-        return [_VISUAL]
-    return [_NO_ODOMETRY] if frames.odometry_origin is None else []
+def _motion(frames: FrameSource, config: RunConfig) -> str:
+    """What stands in for recorded odometry, for users; empty where that is used."""
+    if frames.odometry_origin == "visual":
+        return "made from the images, in a unit that the filter finds and dead reckoning does not"
+    if frames.odometry_origin is not None:
+        return ""
+    unknown = ", as the intrinsics are unknown" if config.odometry == "auto" else ""
+    return f"none{unknown}: each hypothesis moves by a velocity of its own"
 
 
 class VerifiedImages:

@@ -6,17 +6,13 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from vapor.evaluation.consistency import REGIONS
 from vapor.reporting.report import HARDLY, is_placed
 
 MOST_STEPS = 4
 MOVE_ON = "Move on until something looks different, or look with more cameras."
 """Where several places remain."""
-_LEAST_IMAGES = 50  # that a statement on the calibration needs
 _FEW, _FEW_VERIFIED = 0.5, 0.2  # of the images, converged and with landmarks, below which something is amiss
 _AMBIGUOUS = 0.5  # of the smoothed poses
-_TOO_SURE = 0.2  # by which a region may hold less than stated
-_WRONG = 0.05  # of the converged images
 _DOUBTFUL = 0.05  # of the smoothed poses
 
 _OF_NOTICES: tuple[tuple[str, str], ...] = (
@@ -41,6 +37,12 @@ _OF_NOTICES: tuple[tuple[str, str], ...] = (
     ),
     (r"^gravity is off the images", "Check how the inertial unit is mounted: its frame in tf, and its axes."),
     (r"wheels slip, or something moves", "Look at the wheels: where odometry is wrong, use --odometry both."),
+    (
+        r"^the 90 % regions of .*, those of the filter",
+        "Take the filter's poses and covariances, or calibrate with a recording of such conditions: vapor-track"
+        " calibrate.",
+    ),
+    (r"^the 90 % regions", "Calibrate with a recording of such conditions: vapor-track calibrate."),
 )
 """What a notice looks like -> what to do, the most urgent first."""
 _OF_CONVERGED = (
@@ -70,16 +72,7 @@ def next_steps(report: Mapping[str, Any], notices: Sequence[str]) -> tuple[list[
 
 def _of_report(report: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Actions by figures that no notice states."""
-    steps = []
-    consistency, frames = report.get("consistency"), report["frames"]
-    if consistency is not None and consistency["images"] >= _LEAST_IMAGES:
-        held = consistency["coverage"]["90%"]
-        if held < REGIONS["90%"] - _TOO_SURE or consistency["wrong"] > _WRONG:
-            reason = (
-                f"The 90 % regions hold {100 * held:.0f} % of the true poses, and {100 * consistency['wrong']:.0f} % of"
-                " the converged images are wrong: the stated errors are too small for this recording."
-            )
-            steps.append(("Calibrate with a recording of such conditions: vapor-track calibrate.", reason))
+    steps, frames = [], report["frames"]
     converged, placed = _converged(report), is_placed(report["status"])
     if placed and converged < _FEW:
         reason = (

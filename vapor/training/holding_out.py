@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
+from filtering.errors import listed
 from vapor.calibration.error_correlation import LEAST_IMAGES
 from vapor.checkpoints.scene_scale import spaced, typical_side_m
 from vapor.training_data.ground import (
@@ -290,4 +291,4 @@ def _in_words(images: TrainingSet, mask: Bool[np.ndarray, " n"]) -> str:
             continue
         own_runs = [run for run in runs(mask, images.sequence) if images.sequence[run.start] == number]
         parts.append(f"{name}, images {describe_runs(own_runs, images.number)}")
-    return "; ".join(parts[:_NAMED]) + (f"; and {len(parts) - _NAMED} more" if len(parts) > _NAMED else "")
+    return listed(parts, _NAMED, "; ")

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 
 import cv2
 import numpy as np
 from jaxtyping import Float64, UInt8
 
+from filtering.errors import listed
 from filtering.se3 import Poses
 from vapor.training_data.training_set import TrainingError, TrainingSet
 
@@ -16,6 +17,7 @@ _COARSEST_M = 0.1  # that such a step may have
 _STILL_M, _STILL_RAD = 0.005, float(np.deg2rad(0.5))  # of a camera that stands, at most
 _COMPARED, _COARSE = 50, (8, 6)  # images, and the size at which they are compared, pixels
 _FEW = 100  # images
+_NAMED = 3  # recordings
 _SIDE_PX, _BINS, _RANGE = 32, 24, 0.4  # of an image; and of each of two differences of colours, over the brightness
 _ALIKE, _LESS, _APART = 0.5, 0.6, 0.04  # squared Hellinger distances: at most; swapped, of that before; between both
 _BLUISH, _MOST = -0.03, 0.8  # red less blue, over the brightness; and of the images of a recording
@@ -109,8 +111,8 @@ def said_of_colours(recordings: Mapping[str, Colours]) -> list[str]:
 def said_of_bluish_colours(recordings: Mapping[str, Colours]) -> list[str]:
     """A question where all recordings are bluish."""
     return [
-        f"{_listed(recordings)}: more blue than red in nearly all images, as few places have it: see whether these are"
-        " swapped (BGR that is labelled RGB)"
+        f"{listed(recordings, _NAMED)}: more blue than red in nearly all images, as few places have it: see whether"
+        " these are swapped (BGR that is labelled RGB)"
     ] * all(colours.are_bluish for colours in recordings.values())
 
 
@@ -127,16 +129,11 @@ def said_of_swapped_colours(recordings: Mapping[str, Colours]) -> list[str]:
         return []
     names, some = (shares, " in some of these recordings") if 2 * len(found) >= len(shares) else (found, "")
     return [
-        f"{_listed(names)}: red and blue are swapped{some}, beside the other recordings (BGR that is labelled RGB, or"
-        " the reverse), or their white balance differs"
+        f"{listed(names, _NAMED)}: red and blue are swapped{some}, beside the other recordings (BGR that is labelled"
+        " RGB, or the reverse), or their white balance differs"
     ]
 
 
 def _apart(a: np.ndarray, b: np.ndarray) -> float:
     """Squared Hellinger distance, 0 where alike and 1 where nothing is shared."""
     return 1.0 - float(np.sum(np.sqrt(a * b)))
-
-
-def _listed(names: Collection[str]) -> str:
-    first = list(names)[:3]
-    return f"{', '.join(first)}{', ...' if len(names) > len(first) else ''}"

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 from scipy.spatial import KDTree
 
+from filtering.errors import listed
 from filtering.se3 import Poses
 from sequences.odometry_fit.pieces import OdometrySegment
 from vapor.checkpoints.scene_scale import typical_side_m
@@ -94,11 +95,10 @@ def runs(mask: Bool[np.ndarray, " n"], sequence: Int64[np.ndarray, " n"]) -> Ite
 
 
 def describe_runs(found: Sequence[slice], numbers: Int64[np.ndarray, " n"]) -> str:
-    """The first and last image of each run, by the numbers of all images, (n,)."""
-    words = [f"{numbers[run.start]} to {numbers[run.stop - 1]}" for run in found[:_NAMED_RUNS]]
-    if (more := len(found) - _NAMED_RUNS) > 0:
-        words.append(f"{more} more range{'s' if more > 1 else ''}")
-    return " and ".join([*([", ".join(words[:-1])] if words[:-1] else []), words[-1]])
+    """The first and last image of each run, or its only one, by the numbers of all images, (n,)."""
+    ends = ((numbers[run.start], numbers[run.stop - 1]) for run in found)
+    ranges = (f"{begin} to {end}" if end > begin else f"{begin}" for begin, end in ends)
+    return listed(ranges, _NAMED_RUNS, others="more ranges")
 
 
 def pass_numbers(images: TrainingSet) -> Int64[np.ndarray, " n"]:

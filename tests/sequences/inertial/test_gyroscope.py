@@ -183,7 +183,7 @@ class ImagesOnly:
     """A sequence of frames at hand."""
 
     path, camera, image_description, odometry_description = Path("frames"), None, None, None
-    odometry_origin, notices, skipped, resolved = "recorded", [], Counter(), {}
+    odometry_origin, no_odometry, notices, skipped, resolved = "recorded", "", [], Counter(), {}
 
     def __init__(self, frames):
         self.frames, self.num_images, self.counts = frames, len(frames), ImageCounts(len(frames))

@@ -245,9 +245,21 @@ def test_a_unit_that_tf_does_not_link_to_the_camera_is_not_used_and_an_error_whe
     path = recorded(frame="somewhere")
     samples, notices = read_inertial(path, SequenceOptions())
     assert samples is None
-    assert "no transform from 'somewhere'" in notices[0]
+    assert notices == [
+        f"{IMU} is not used: no transforms on /tf_static or /tf lead from 'somewhere' to 'camera_optical_frame'"
+        " (/camera/image/compressed); record them, or name --camera-frame"
+    ]
     with pytest.raises(SequenceError, match="no transform from 'somewhere'"):
         read_inertial(path, SequenceOptions(imu_topic=IMU))
+
+
+def test_a_gyroscope_and_an_accelerometer_that_tf_does_not_link_are_named_in_one_sentence(recorded):
+    path = recorded("/gyro", frame="gyro_frame", source=recorded("/accel", frame="accel_frame", hz=50.0))
+    samples, notices = read_inertial(path, SequenceOptions())
+    assert samples is None
+    (said,) = notices
+    assert said.startswith("/gyro and /accel are not used: ")
+    assert "from 'gyro_frame' and 'accel_frame' to 'camera_optical_frame'" in said
 
 
 def test_of_several_units_the_one_with_most_messages_is_used_and_named(recorded):

@@ -34,11 +34,11 @@ def test_an_error_on_the_way_leaves_nothing_of_new_folders_and_all_of_old_ones(t
     assert whole(tmp_path / "old") == "first"
 
 
-def test_a_folder_with_files_of_the_users_is_refused_and_names_three_of_them(tmp_path):
+def test_a_folder_with_files_of_the_users_is_refused_and_names_what_it_holds(tmp_path):
     mine = {"seq.mcap": "images", "a.tum": "my truth", "b.json": "{}", "notes.txt": "mine"}
     for name, text in mine.items():
         (tmp_path / name).write_text(text)
-    refused(tmp_path, "a.tum, b.json, notes.txt and 1 more", "--overwrite")
+    refused(tmp_path, "a.tum, b.json, notes.txt and seq.mcap", "--overwrite")
     write(tmp_path, "new", overwrite=True)
     assert contents(tmp_path).items() >= {"seq.mcap": "images", "notes.txt": "mine", "a.tum": "new"}.items()
     assert read_manifest(tmp_path)["files"].keys() == {"a.tum", "b.json"}
@@ -50,7 +50,7 @@ def test_results_with_a_note_or_a_change_of_the_users_are_refused(tmp_path):
     (out / "notes.txt").write_text("mine")
     refused(out, "holds notes.txt,")
     (out / "sometimes.png").write_text("FIRST")
-    refused(out, "notes.txt, sometimes.png (changed)")
+    refused(out, "notes.txt and sometimes.png (changed)")
     write(out, "second", overwrite=True)
     assert contents(out)["notes.txt"] == "mine"
     assert contents(out)["sometimes.png"] == "FIRST"  # no longer what was listed, and not written anew

@@ -81,6 +81,15 @@ def test_a_segment_of_a_sequence_is_read(walk_file: Path) -> None:
     assert reader.skipped == {OUTSIDE: 7}
 
 
+@pytest.mark.parametrize("duration_s", [None, 2.0])
+def test_a_segment_behind_the_last_image_is_an_error_that_says_how_long_the_recording_is(
+    duration_s: float | None, walk_file: Path
+) -> None:
+    reader = SequenceReader(walk_file, SequenceOptions(start_s=500.0, duration_s=duration_s))
+    with pytest.raises(SequenceError, match=r"the images last 1\.1 s, expected --start-s below that, not 500$"):
+        list(reader)
+
+
 def test_true_poses_are_interpolated_but_not_over_gaps(tmp_path: Path) -> None:
     walk = Walk()
     # True poses at 20 Hz, off the images' stamps, and none between 0.4 and 0.75 s.

@@ -114,9 +114,9 @@ def test_a_listing_that_states_no_numbers_is_read_with_a_notice(walk_file: Path,
 
 def test_a_file_beside_is_named_where_nothing_is_missing(walk_file: Path, tmp_path: Path) -> None:
     bag = as_split_folder(walk_file, tmp_path)
-    for name in ("copy.mcap", "d.mcap", "e.mcap", "f.mcap"):
+    for name in ("copy.mcap", "d.mcap", "e.mcap", "f.mcap", "g.mcap"):
         (bag / name).write_bytes(walk_file.read_bytes())
-    said = "metadata.yaml does not list 'copy.mcap', 'd.mcap', 'e.mcap' and 1 more: not read"
+    said = "metadata.yaml does not list 'copy.mcap', 'd.mcap', 'e.mcap' and 2 more: not read"
     assert images_of(bag) == (12, [said])
 
 

@@ -22,7 +22,7 @@ class Frames:
 
     def __init__(self, frames, camera=CAMERA):
         self.frames, self.path, self.camera = frames, Path("memory"), camera
-        self.num_images, self.odometry_origin = len(frames), None
+        self.num_images, self.odometry_origin, self.no_odometry = len(frames), None, ""
         self.image_description = self.odometry_description = None
         self.notices, self.resolved = ["a notice"], {}
         self.counts = ImageCounts(len(frames), len(frames), len(frames))

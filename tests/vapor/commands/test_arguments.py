@@ -29,11 +29,23 @@ STEP = ["vapor-benchmark", "step"]
 WRONG = {
     "no command": ([], ""),
     "unknown command": (["localise"], "unknown command 'localise', expected one of demo, run, live"),
-    "unknown option": ([*RUN, "--nonsense", "1"], "nonsense"),
-    "misspelt option": ([*RUN, "--localizer.max-hypthoses", "9"], "hypthoses"),
+    "unknown option": (
+        [*RUN, "--nonsense", "1"],
+        "run: unknown option --nonsense, expected one that `vapor-track run --help` lists\n",
+    ),
+    "misspelt option": ([*RUN, "--localizer.max-hypthoses", "9"], "did you mean --localizer.max-hypotheses?\n"),
+    "misspelt option that is needed": (
+        ["run", "a.mcap", "--modle", "m", "--output", "o"],
+        "vapor-track run: unknown option --modle, did you mean --model?\n",
+    ),
+    "misspelt option of a benchmark": (
+        [*STEP, "--repetition=9"],
+        "vapor-benchmark step: unknown option --repetition, did you mean --repetitions?\n",
+    ),
+    "misspelt version": (["--versoin"], "'--versoin', did you mean --version?"),
     "mistyped command": (["rum"], "unknown command 'rum', did you mean run? Expected one of demo, run"),
-    "missing model": (["run", "a.mcap", "--output", "o"], "vapor-track run: missing --model: Model file, or name of"),
-    "missing model and output": (["run", "a.mcap"], "staircase, ceiling; missing --output: Directory for"),
+    "missing model": (["run", "a.mcap", "--output", "o"], "or model file\n"),
+    "missing model and output": (["run", "a.mcap"], "run: missing --model {ceiling,staircase}|PATH: Name of a model"),
     "missing output of a conversion": (["convert", "a"], "convert: missing OUT.mcap: MCAP file to write, new or"),
     "missing sequence": (["run", "--model", "m", "--output", "o"], "recording, video or folder of images"),
     "a URL to read": (
@@ -42,7 +54,17 @@ WRONG = {
     ),
     "a URL to write": ([*RUN[:-2], "--output=oss://b/x"], "oss://b/x: expected a path"),
     "a URL to train on": (["train", "gs://walks/a@0:9", *TRAIN[2:]], "gs://walks/a@0:9: expected a path"),
-    "value that is no number": ([*RUN, "--seed", "one"], "one"),
+    "value that is no number": ([*RUN, "--seed", "one"], "run: --seed is 'one', expected a whole number\n"),
+    "value that is no number, after =": ([*RUN, "--start_s=a"], "run: --start-s is 'a', expected a number\n"),
+    "neither number nor word": (
+        ["evaluate", "o", "--time-offset-s", "some"],
+        "evaluate: --time-offset-s is 'some', expected a number or auto\n",
+    ),
+    "too few numbers": ([*RUN, "--base-from-camera", "1", "2"], "--base-from-camera is '1 2', expected 7 numbers\n"),
+    "no value": ([*RUN, "--threads"], "run: --threads has no value, expected a whole number\n"),
+    "empty output": (["run", "a.mcap", "--model", "m", "--output="], "run: --output is '', expected a path\n"),
+    "unknown engine": ([*RUN, "--engine", "fast"], "--engine is 'fast', expected one of auto, torch, openvino\n"),
+    "unknown scene of the demo": (["demo", "attic"], "scene is 'attic', expected one of staircase, ceiling\n"),
     "no samples": ([*RUN, "--num-samples", "0"], "num_samples is 0"),
     "negative seed": ([*RUN, "--seed", "-1"], "seed is -1"),
     "setting out of range": ([*RUN, "--localizer.modes.max-modes", "0"], "max_modes is 0, expected between 1"),
@@ -109,6 +131,7 @@ def test_the_overview_lists_every_command(program, words, commands, capsys):
     assert f"usage: {program} COMMAND" in out
     assert re.findall(r"^  ([a-z-]+)  ", out, re.MULTILINE) == [*commands]
     assert main([*words, "--version"]) == 0
+    assert f"`{program} --version`" in out.replace("\n  ", " ")
     assert capsys.readouterr().out.startswith(f"{program} 0.")
 
 

@@ -64,6 +64,30 @@ def test_what_is_needed_comes_first_and_what_to_read_apart(shown):
     assert shown.groups["reading"][0] == "What to read."
 
 
+def test_names_that_an_option_takes_are_known_and_what_it_takes_is_said_in_words(shown):
+    options = {each.names[0]: each for _, group in shown.groups.values() for each in group if each.names}
+    assert {name: [*each.choices] for name, each in options.items() if each.choices} == {"--way": ["up", "down"]}
+    assert {name: each.expected for name, each in options.items() if each.value} == {
+        "--output": "text",
+        "--topic": "text",
+        "--way": "one of up, down",
+        "--pose": "2 numbers",
+        "--long-s": "a number",
+    }
+
+
+@dataclass(frozen=True)
+class Shell:
+    """Print something."""
+
+    shell: tyro.conf.Positional[Literal["bash", "zsh"]]
+    """The shell."""
+
+
+def test_the_usage_of_a_command_without_options_names_none():
+    assert Command.of("program print", Shell).usage == "program print {bash,zsh}"
+
+
 @pytest.mark.parametrize("columns", [40, 80])
 def test_paragraphs_fill_the_lines(shown, columns):
     lines = shown.shown(columns).plain.splitlines()

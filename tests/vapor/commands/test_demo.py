@@ -19,7 +19,9 @@ def test_the_demo_runs_with_the_model_that_ships(scene, tmp_path, monkeypatch, c
     assert main(["demo", scene, "--frames", "6"]) == 0
     out, err = capsys.readouterr()
     assert re.fullmatch(r"(rendering: .*\n)+(localizing: .*\n)+", err)
-    for words in ("single image", "dead reckoning", "particle filter", "recording.rrd", "report.html"):
+    methods = ["single image", "dead reckoning", "Kalman filter", "particle filter", "smoothed"]  # as on the page
+    assert [line.split("│")[1].strip() for line in out.splitlines() if line.startswith("│")] == methods
+    for words in ("recording.rrd", "report.html"):
         assert words in out
     report = json.loads((tmp_path / "demo" / scene / "report.json").read_text())
     assert report["frames"] == 6

@@ -5,6 +5,14 @@ from tests.helpers.pages import ReadPage
 from vapor.track import main
 
 
+def test_a_file_of_the_results_in_place_of_their_directory_is_told(tmp_path, capsys):
+    (tmp_path / "report.json").write_text("{}")
+    line = refuse(["evaluate", str(tmp_path / "report.json")], capsys, "report.json: is a file, expected a directory")
+    assert "did you mean" not in line
+    (tmp_path / "trajectory.tum").write_text("1.0 0 0 0 0 0 0 1\n")
+    refuse(["evaluate", str(tmp_path / "report.json")], capsys, f"wrote, did you mean {tmp_path}?\n")
+
+
 def test_a_page_beside_the_figures_has_them_too(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "run").mkdir()

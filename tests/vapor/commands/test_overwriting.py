@@ -169,7 +169,7 @@ def test_the_folder_of_the_sequence_is_only_taken_when_told_and_keeps_what_is_in
     words = ["run", "own/walk.mcap", "--model", "m.safetensors", "--output", "own", "--ground-truth-topic", "", *SMALL]
     words += ["--duration-s", "0.5"]
     refuse(
-        words, capsys, "own: holds config.json, ground_truth.tum, walk.mcap (which is read), expected", "--overwrite"
+        words, capsys, "own: holds config.json, ground_truth.tum and walk.mcap (which is read), expected", "--overwrite"
     )
     assert contents(folder) == before
     assert main([*words, "--no-recording", "--overwrite"]) == 0

@@ -15,6 +15,7 @@ from sequences.trajectories.tum import read_tum
 from sequences.writer import SequenceWriter
 from tests.helpers.boards import CAMERA
 from tests.helpers.command_line import report_of
+from tests.helpers.pages import ReadPage
 from tests.helpers.sequence_files import ODOMETRY, TRUTH, rewrite
 from tests.helpers.tiny_model import SMALL
 from tests.helpers.video_clips import write_clip
@@ -24,7 +25,7 @@ from vapor.pipeline.batch import find_sequences
 from vapor.pipeline.config import RunConfig
 from vapor.track import main
 
-SAID = "no odometry: it is made from the images"
+SAID = "odometry   made from the images, in a unit that the filter finds"
 
 
 def run(sequence: Path, model: Path, output: Path, *words: str) -> int:
@@ -69,7 +70,9 @@ def test_a_video_is_localized(clip, tiny_model, tmp_path, capsys):
 
 def test_without_any_intrinsics_each_hypothesis_has_a_velocity_of_its_own(clip, tiny_model, tmp_path, capsys):
     assert run(clip, tiny_model, tmp_path / "out") == 0
-    assert "no odometry: each hypothesis moves by an unknown velocity" in capsys.readouterr().out
+    assert (
+        "odometry   none, as the intrinsics are unknown: each hypothesis moves by a velocity" in capsys.readouterr().out
+    )
     assert report_of(tmp_path / "out")["images"]["used"] == 9
     assert run(clip, tiny_model, tmp_path / "visual", "--odometry", "visual") == 1
     assert "--odometry visual without intrinsics, expected" in capsys.readouterr().err
@@ -111,7 +114,7 @@ def test_odometry_of_the_images_is_used_instead_of_or_beside_what_is_recorded(bo
     for odometry in ("recorded", "visual", "both", "none"):
         out = tmp_path / odometry
         assert run(boards, tiny_model, out, "--odometry", odometry, "--localize-hz", "100") == 0
-        assert SAID not in capsys.readouterr().out
+        assert (SAID in capsys.readouterr().out) == (odometry == "visual")
         found[odometry] = (out / "trajectory.tum").read_text()
         described = json.loads((out / "config.json").read_text())["sequence"]["odometry"]
         assert ("visual" in (described or "")) == (odometry in ("visual", "both"))
@@ -137,7 +140,13 @@ def test_odometry_that_is_ignored_is_not_taken_for_true_poses(walk_of_25, tiny_m
 
 def test_why_there_is_no_odometry_is_said(without, tiny_model, tmp_path, capsys):
     assert run(without, tiny_model, tmp_path / "out") == 0
-    assert "no odometry topic, expected one of type nav_msgs/Odometry" in capsys.readouterr().out
+    (said,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("odometry ")]
+    looked_for = "no topic is of type nav_msgs/Odometry, and in tf camera_optical_frame does not move in a frame odom"
+    assert said == f"{SAID} and dead reckoning does not; none is recorded: {looked_for}"
+    assert not any("odometry" in notice for notice in report_of(tmp_path / "out")["notices"])  # it is a plain fact
+    page = ReadPage.of((tmp_path / "out" / "report.html").read_text())
+    assert "Odometry: made from the images, in a unit" in page.words
+    assert f"No odometry is recorded: {looked_for}." in page.words
 
 
 @pytest.mark.usefixtures("unchecked")

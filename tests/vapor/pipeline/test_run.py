@@ -227,7 +227,7 @@ def test_the_estimate_can_be_read_back_with_the_poses_of_the_trajectory(finished
 
 def test_the_configuration_tells_every_setting_as_it_was_used(finished):
     config = json.loads((finished.directory / "config.json").read_text())
-    said_of_itself = {"image_source": None, "odometry": "exact, for tests"}
+    said_of_itself = {"image_source": None, "odometry": "exact, for tests", "motion": "", "no_odometry": ""}
     assert config["sequence"] == {"name": "walk.mcap", "images": 25} | said_of_itself
     assert config["model"]["name"] == "tiny.safetensors"
     assert (config["run"]["seed"], config["run"]["num_samples"], config["run"]["device"]) == (0, 60, "cpu")

@@ -2,6 +2,7 @@
 
 import csv
 import itertools
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from filtering.se3 import Poses
 from sequences.reader import SequenceReader
 from sequences.reading.counts import IN_GAP
 from tests.helpers.command_line import report_of
+from tests.helpers.pages import ReadPage
 from tests.helpers.sequence_files import BEGIN_NS, Walk, rewrite
 from tests.helpers.simulation import ERRORS, lifted, seen_at
 from vapor.commands.run import show_run
@@ -62,6 +64,24 @@ def wrong_odometry(kind: str, poses: list[tuple[int, Poses]], begin: int, end: i
             step = Poses.identity() if kind == "stuck" else Poses.exp(3.0 * step.log())
         told.append(Poses.identity() if kind == "reset" and i == begin else told[-1] @ step)
     return list(zip(times_ns, told, strict=True))
+
+
+@pytest.mark.usefixtures("unchecked", "plain_results")
+def test_smoothed_poses_that_err_by_more_than_they_state_are_told_of_beside_the_filter(tmp_path, capsys):
+    sequence = Walk(60, twist_covariance=1e-6 * np.eye(6)).write(tmp_path / "walk.mcap")
+    record = follow(sequence, tmp_path / "out", alone=60)
+    smoothed = record.look_back.trajectories["smoothed"]
+    off = smoothed.poses @ Poses.exp(np.array([0.05, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    sharp = replace(smoothed, poses=off, covariance=1e-3 * smoothed.covariance)
+    record = record.in_hindsight(replace(record.look_back, trajectories={"smoothed": sharp}))
+    result = write_results(record, tmp_path / "out", {}, title="walk")
+    show_run(result, tmp_path / "out", title="walk", recording=False)
+    printed = capsys.readouterr().out
+    assert "  the 90 % regions of smoothed poses hold 0 % of the true poses, those of the filter " in printed
+    (row,) = [line for line in printed.splitlines() if line.startswith("│ smoothed ") and " m " not in line]
+    assert [cell.strip() for cell in row.split("│")[3:6]] == ["0.0 %", "0.0 %", "0.0 %"]
+    page = ReadPage.of((tmp_path / "out" / "report.html").read_text())
+    assert "Take the filter's poses and covariances" in page.words
 
 
 @pytest.mark.usefixtures("unchecked", "plain_results")

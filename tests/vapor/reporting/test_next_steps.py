@@ -11,6 +11,7 @@ from sequences.reading.counts import ImageCounts
 from tests.helpers.simulated_run import simulated_record
 from vapor.cameras import AsTakenBy
 from vapor.pipeline.unrecognised import why_unrecognised
+from vapor.reporting.calibration import too_sure_notices
 from vapor.reporting.next_steps import MOST_STEPS, next_steps
 from vapor.reporting.report import camera_notices, doubtful_notice, is_placed, place_notice
 from vapor.tracking.hindsight import LookBack
@@ -69,6 +70,13 @@ def nowhere() -> str:
     return notice
 
 
+def too_sure(held: float = 0.92, smoothed: float = 0.9, wrong: float = 0.0, images: int = 90) -> list[str]:
+    def of(part: float) -> dict[str, object]:
+        return {"images": images, "wrong": wrong, "coverage": {"90%": part}}
+
+    return too_sure_notices({"consistency": of(held), "hindsight": {"consistency": of(smoothed)}})
+
+
 def few() -> str:
     counts = ImageCounts(100, 100, 20)
     counts.skipped["undecodable_image"] = 80
@@ -101,12 +109,26 @@ def test_what_a_notice_of_a_run_says_has_its_action(make, action):
     assert others == ["mind the step"]
 
 
+def test_regions_that_hold_too_little_are_said_of_the_filter_and_of_smoothed_poses():
+    assert too_sure() == too_sure(0.4, 0.4, images=9) == []
+    assert too_sure_notices({"consistency": {"images": 0, "wrong": None, "coverage": None}}) == []
+    assert too_sure_notices({"hindsight": {"ambiguous": 0}}) == []  # without true poses
+    (of_filter,) = too_sure(0.6, wrong=0.3)
+    assert of_filter.startswith(
+        "the 90 % regions hold 60 % of the true poses, and 30 % of the converged images are wrong"
+    )
+    assert too_sure(wrong=0.3) != []
+    (of_smoothed,) = too_sure(0.97, 0.42)
+    assert of_smoothed.startswith(
+        "the 90 % regions of smoothed poses hold 42 % of the true poses, those of the filter 97 %"
+    )
+    assert actions(of_filter)[0].startswith("Calibrate")
+    assert actions(of_smoothed)[0].startswith("Take the filter's poses")
+    assert [action.split()[0] for action in actions(*too_sure(0.6, 0.42))] == ["Calibrate", "Calibrate"]
+
+
 def test_what_the_report_shows_has_its_action():
     assert actions() == []
-    wrong = {"images": 90, "wrong": 0.3, "coverage": {"90%": 0.6}}
-    assert actions(consistency=wrong)[0].startswith("Calibrate")
-    assert actions(consistency={**wrong, "images": 9}) == []
-    assert actions(consistency={"images": 0, "wrong": None, "coverage": None}) == []
     assert actions(status={"converged": 0.1, "ambiguous": 0.9})[0].startswith("Move on")
     assert actions(status={"converged": 0.1, "lost": 0.9}) == []  # which a notice explains
     assert actions(hindsight={"ambiguous": 80})[0].startswith("Compare smoothed.tum")

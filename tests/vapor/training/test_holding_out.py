@@ -152,7 +152,8 @@ def test_a_run_over_ground_that_training_images_do_not_show_is_told_so():
 def test_ranges_of_images_that_are_left_out_are_counted():
     five = [slice(10 * i, 10 * i + 3) for i in range(5)]
     assert describe_runs(five[:2], np.arange(99)) == "0 to 2 and 10 to 12"
-    assert describe_runs(five[:4], np.arange(99)) == "0 to 2, 10 to 12, 20 to 22 and 1 more range"
+    assert describe_runs([slice(7, 8), slice(20, 22)], np.arange(99) - 5) == "2 and 15 to 16"
+    assert describe_runs(five[:4], np.arange(99)) == "0 to 2, 10 to 12, 20 to 22 and 30 to 32"
     assert describe_runs(five, np.arange(99)).endswith("20 to 22 and 2 more ranges")
 
 

@@ -233,7 +233,7 @@ def test_of_alike_recordings_nothing_is_said():
 
 @pytest.mark.parametrize(
     ("names", "said"),
-    [("abc", "b: red and blue are swapped, beside"), ("ab", "a, b: red and blue are swapped in some of these")],
+    [("abc", "b: red and blue are swapped, beside"), ("ab", "a and b: red and blue are swapped in some of these")],
 )
 def test_the_recording_whose_colours_are_swapped_is_named_and_of_two_both(names, said):
     (notice,) = said_of_colours({name: colours(i, swapped=name == "b") for i, name in enumerate(names)})

@@ -20,6 +20,7 @@ from vapor.benchmark.figures import table_of
 from vapor.benchmark.live.measure import Latency, Measured, measure
 from vapor.benchmark.live.traffic import read_walk
 from vapor.commands.console import parse, show
+from vapor.commands.model_name import ModelName
 from vapor.commands.progress import progress
 
 _LONGEST_MINUTES = 7 * 24 * 60
@@ -47,8 +48,8 @@ Size = Annotated[
 class Options:
     """Measure `live`: time from images and odometry to poses, memory, processor time."""
 
-    model: str
-    """Model file, or name of a model that ships: staircase, ceiling."""
+    model: ModelName
+    """Name of a model that ships, or model file."""
     sequence: Path
     """Recording of the place of the model, with odometry; its first 300 images are played forwards, backwards, and so
     on."""

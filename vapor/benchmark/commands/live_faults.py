@@ -16,6 +16,7 @@ from vapor.benchmark.figures import table_of, text
 from vapor.benchmark.live.faults import FAULTS, Outcome, run_fault
 from vapor.benchmark.live.traffic import read_walk
 from vapor.commands.console import parse, show
+from vapor.commands.model_name import ModelName
 from vapor.commands.progress import progress
 
 
@@ -23,8 +24,8 @@ from vapor.commands.progress import progress
 class Options:
     """Let faults happen to a robot that `live` follows: published messages, time without convergence, recovery."""
 
-    model: str
-    """Model file, or name of a model that ships: staircase, ceiling."""
+    model: ModelName
+    """Name of a model that ships, or model file."""
     sequence: Path
     """Recording of the place of the model, with odometry and true poses."""
     faults: tuple[str, ...] = tuple(FAULTS)

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from filtering.errors import VaporTrackError
+from filtering.errors import VaporTrackError, listed
 from sequences.live.replay import replay
 from sequences.live.transport import DdsOptions, Offer, Transport, join
 from vapor.benchmark.live.traffic import IMAGE, ODOMETRY, REPLAYED, AlteringTransport, Walk, stamp_of, write_walk
@@ -264,7 +264,7 @@ def _listen(transport: Transport, topic: str) -> list[tuple[int, int]]:
 def require_alone(transport: Transport) -> None:
     """Check that nobody else publishes anything. Raises VaporTrackError with the publishers."""
     if offers := transport.offers():
-        names = ", ".join(offer.topic for offer in offers[:3]) + ", ..." * (len(offers) > 3)
+        names = listed((offer.topic for offer in offers), 3)
         raise VaporTrackError(
             f"{transport.name}: others publish {names}, expected nobody there: choose another --domain"
         )

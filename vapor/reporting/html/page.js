@@ -70,7 +70,7 @@ function camera({ corners, path, up }, width, height) {
   const sum = (...terms) => [0, 1, 2].map(i => terms.reduce((total, [factor, vector]) => total + factor * vector[i], 0));
   const xyz = ([x, y, z]) => ({ x, y, z });
   const tangent = Math.tan(Math.PI / 8);  // Plotly's view is 45° high
-  const room = [width, height].map(side => tangent * (side - 78) / height);  // beside the labels of the axes
+  const room = [width - 106, height - 78].map(side => tangent * side / height);  // beside the labels of the axes
   const level = up[0] ? [0, 1, 0] : [1, 0, 0], aside = cross(up, level);
   let best = null;
   for (let turn = 30; turn < 360; turn += 10) for (const rise of [20, 28, 36]) {
@@ -83,6 +83,7 @@ function camera({ corners, path, up }, width, height) {
       Math.max(...corners.map(corner => sign * dot(corner, axis) + room[k] * dot(corner, back)))));
     const distance = Math.max(...edges.map(([high, low], k) => (high + low) / (2 * room[k])));
     const middle = edges.map(([high, low]) => (high - low) / 2);
+    middle[0] -= 28 * tangent * distance / height;  // more of the room on the left, where the upright axis has its name
     const fills = axes.reduce((product, axis, k) => {
       const at = path.map(point => (dot(point, axis) - middle[k]) / (room[k] * (distance - dot(point, back))));
       return product * (Math.max(...at) - Math.min(...at));
@@ -126,12 +127,15 @@ function scene(element, data) {
     if (pathsInk !== style("--ink")) [pathsInk, paths] = [style("--ink"), inked(data.paths)];
     return [...paths, ...inked(belief)];
   };
-  const box = boxed(data);
+  const box = boxed(data), room = () => plot.clientHeight - (narrow() ? 110 : 70);  // above the legend
+  // No more than have a place beside each other on an axis of a part of the longest one, which is seen aslant.
+  const ticks = part => Math.max(2, Math.min(8, Math.round(0.7 * part * Math.min(room(), 1.5 * plot.clientWidth) / 30)));
   const layout = () => ({ uirevision: "kept", margin: { l: 0, r: 0, t: 0, b: 0 }, showlegend: true,
     legend: { orientation: "h", x: 0, y: 0, yanchor: "top", font: { size: narrow() ? 11 : 12 } },
     scene: { aspectmode: "manual", aspectratio: data.ratio, uirevision: "kept",
-      camera: camera(box, plot.clientWidth, plot.clientHeight - (narrow() ? 110 : 70)), ...Object.fromEntries(["x", "y", "z"].map((name, i) =>
-        [`${name}axis`, { title: { text: `${name} [m]` }, range: data.ranges[i], nticks: 8 }])) } });
+      camera: camera(box, plot.clientWidth, room()), ...Object.fromEntries(["x", "y", "z"].map((name, i) =>
+        [`${name}axis`, { title: { text: `${name} [m]`, font: { size: narrow() ? 11 : 13 } }, range: data.ranges[i],
+          nticks: ticks(data.ratio[name]), tickfont: { size: narrow() ? 10 : 12 } }])) } });
 
   function show(index) {
     at = Math.max(0, Math.min(data.moments.length - 1, index));
@@ -140,7 +144,7 @@ function scene(element, data) {
     output.textContent = `${moment.time_s.toFixed(1)} s · ${moment.status} · ${moment.weights.length} ` +
       (moment.weights.length === 1 ? "mode" : `modes, best ${Math.round(100 * moment.weights[0])} %`);
     slider.setAttribute("aria-valuetext", output.textContent);
-    const away = button => Math.abs(Number(button.dataset.moment) - at);
+    const away = button => Math.abs(data.moments[Number(button.dataset.moment)].time_s - moment.time_s);
     const nearest = buttons.reduce((best, each) => away(each) < away(best) ? each : best, buttons[0]);
     for (const button of buttons) button.setAttribute("aria-pressed", String(button === nearest));
     if (seen) {

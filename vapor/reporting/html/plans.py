@@ -102,7 +102,7 @@ class Plans:
         plans = []
         for number, drawn in sorted(marks.items()):
             outline = dots(self.drawn(points[(on_storey == number) & self.shows(points)]))
-            bar = f"M{_SIDE * _MARGIN:.0f} {height - 14:.0f}h{bar_m * self.scale:.0f}"
+            bar = f"M{_SIDE * _MARGIN:.0f} {height - 24:.0f}v20m0 -10h{bar_m * self.scale:.0f}m0 -10v20"
             label = f"{shown} and {self.outline.what} from above, {self.name(number)}".rstrip(", ")
             caption = f"<figcaption>{self.name(number)}</figcaption>" if self.name(number) else ""
             plans.append(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from html import escape
+from itertools import repeat
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ _MOST_TIMES, _MOST_DOTS = 1500, 750  # of a curve over time, a thousand pixels w
 _LEAST = 1e-3  # of an error that is drawn: dead reckoning begins on the truth
 _LOG = {"type": "log", "tickformat": "~g", "nticks": 4}  # whole numbers at every tick, not the last digit alone
 _MOST_IMAGES = 12
+_FIRST = 0.15  # of the run: near there is the picture that a page shows first
 _THINNEST = 0.1  # of the longest axis of the box
 _TALL = 0.8  # height of a box over the diagonal of its plan, from which on its view is higher than wide
 _CAMERA_OF_EXTENT = 0.03  # the size of a drawn camera
@@ -29,9 +31,10 @@ _CAMERA_OF_EXTENT = 0.03  # the size of a drawn camera
 def run_scene(record: RunRecord) -> Block:
     """A run in space, to be turned and played: paths, particles, modes and cameras."""
     last = len(record.moments) - 1
-    first = min(int(0.15 * last), last)
     keyframes = [each for each in choose_keyframes(list(record.keyframes), _MOST_IMAGES) if each.thumbnail.size]
-    buttons = "".join(_moment_button(each, record) for each in keyframes)
+    of_keyframes = [_moment_of(each, record) for each in keyframes]
+    first = min(of_keyframes, default=0, key=lambda moment: abs(moment - _FIRST * last))
+    buttons = "".join(map(_moment_button, keyframes, of_keyframes, repeat(int(record.times_ns[0]))))
     seen = '<figure class="seen"><img alt="What the camera saw"><figcaption></figcaption></figure>'
     strip = f'<div class="moments" aria-label="Images" role="group">{buttons}</div>' if keyframes else ""
     data = _data(record)
@@ -54,10 +57,14 @@ def _level_and_up(up: list[float]) -> tuple[np.ndarray, np.ndarray]:
     return 1.0 - np.abs(up), np.abs(up)
 
 
-def _moment_button(keyframe: Keyframe, record: RunRecord) -> str:
-    seconds = (keyframe.time_ns - int(record.times_ns[0])) / 1e9
+def _moment_of(keyframe: Keyframe, record: RunRecord) -> int:
+    """The number of the moment that is nearest to a keyframe."""
     moments_ns = np.array([record.times_ns[moment.index] for moment in record.moments])
-    moment = int(np.abs(moments_ns - keyframe.time_ns).argmin())
+    return int(np.abs(moments_ns - keyframe.time_ns).argmin())
+
+
+def _moment_button(keyframe: Keyframe, moment: int, start_ns: int) -> str:
+    seconds = (keyframe.time_ns - start_ns) / 1e9
     words = f"{seconds:.1f} s · {keyframe.status}"
     return (
         f'<button type="button" data-moment="{moment}" aria-pressed="false">'

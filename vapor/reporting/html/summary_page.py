@@ -269,9 +269,10 @@ def _recordings(outcomes: Sequence[Outcome]) -> list[Block]:
         if has_truth
         else "it was sure of the place at the end. There are no true poses to compare with."
     )
-    first = table(columns, rows[:_SHOWN], "Each with a link to its report", links=links)
-    more = table(columns, rows[_SHOWN:], "The others", links=links)
-    others = [folded(f"{len(rows) - _SHOWN} more", [more])] if len(rows) > _SHOWN else []
+    shown = _SHOWN if len(rows) > _SHOWN + 1 else len(rows)
+    first = table(columns, rows[:shown], "Each with a link to its report", links=links)
+    more = table(columns, rows[shown:], "The others", links=links)
+    others = [folded(f"{len(rows) - shown} more", [more])] if rows[shown:] else []
     return [paragraph(well), first, *others]
 
 

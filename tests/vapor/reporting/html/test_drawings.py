@@ -45,6 +45,11 @@ def test_a_plan_has_the_path_among_the_landmarks_in_proportion_and_north_up(reco
     assert len(drawn["doubted"]) == (~sure).sum() > 0
 
 
+def test_the_scale_has_ends_so_that_it_is_not_taken_for_the_truth(record):
+    (bar,) = re.findall(r'<path class="bar" d="([^"]*)"', plan(record, OUTLINE).html)
+    assert re.fullmatch(r"M\d+ \d+v20m0 -10h\d+m0 -10v20", bar)
+
+
 def test_each_storey_that_the_path_is_on_has_a_plan(record):
     heights = tuple(1.6 + FLOOR_M * np.arange(-2, 5))
     floored = replace(record, storeys=Storeys(heights))

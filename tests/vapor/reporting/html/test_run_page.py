@@ -37,10 +37,20 @@ def test_the_table_has_the_numbers_of_the_report(record):
         f"{metrics['median_rotation_deg']:.1f}°",
     ]
     assert page.cells[row + 2 : row + 5] == [f"{100 * part:.0f} %" for part in metrics["recall"].values()]
-    coverage = report["consistency"]["coverage"]
-    for name, part in coverage.items():
-        row = page.cells.index(f"true pose in the {name.replace('%', ' %')} region")
-        assert page.cells[row + 1] == f"{100 * part:.1f} %"
+
+
+def test_calibration_is_shown_of_the_filter_and_of_smoothed_poses(record):
+    report = build_report(record)
+    smoothed = {"images": 140, "wrong": 0.0, "coverage": {"50%": 0.2, "90%": 0.42, "95%": 0.55}, "median_nees": 11.3}
+    report["hindsight"] = {"ambiguous": 0, "carried_off_s": [1.0, 2.5, 9.0], "consistency": smoothed}
+    cells = ReadPage.of(run_page(record, report, title="walk.mcap", settings=SETTINGS).html()).cells
+    row = cells.index("particle filter", cells.index("median\nNEES"))
+    filtered = report["consistency"]
+    held = [f"{100 * part:.1f} %" for part in filtered["coverage"].values()]
+    assert cells[row + 1 : row + 5] == [str(filtered["images"]), *held]
+    assert cells[row + 7 : row + 14] == ["smoothed", "140", "20.0 %", "42.0 %", "55.0 %", "11.30", "0.0 %"]
+    assert cells[cells.index("carried off, in hindsight, after") + 1] == "1.0 s, 2.5 s and 9.0 s"
+    assert cells[row + 14 : row + 21] == ["expected", "", "50 %", "90 %", "95 %", "5.35", "0 %"]
 
 
 def test_what_was_asked_and_how_it_was_made_are_said(record):
@@ -93,6 +103,15 @@ def test_beside_a_moment_is_its_own_image_at_most_200_pixels_wide(record):
         assert abs(image.mean() - shade) < 2
 
 
+def test_a_page_begins_at_a_moment_that_one_of_its_pictures_shows(record):
+    page = read(record)
+    moments = [int(attributes["data-moment"]) for _, attributes in page.tags if "data-moment" in attributes]
+    (begin,) = [int(attributes["value"]) for _, attributes in page.tags if attributes.get("type") == "range"]
+    assert begin in moments
+    assert begin == min(moments, key=lambda moment: abs(moment - 0.15 * 149))
+    assert min(abs(moment - int(0.15 * 149)) for moment in moments) > 0  # a fixed place would be at none of them
+
+
 def test_a_path_is_broken_where_a_hypothesis_jumped(record):
     (path,) = [each for each in read(record).data["run"]["paths"] if each["name"] == "particle filter"]
     points = [each for each in path["x"] if each is not None]
@@ -136,6 +155,7 @@ def test_where_there_are_storeys_the_page_says_which(record):
     assert f"Sure of its storey, by 95 % and more, after 100 % of the images, of these wrong: {100 * wrong:.1f} %" in (
         page.words
     )
+    assert "On stairs the storey changes at one height." in page.words  # so 99 % here, and 100 % within 0.1 m
     assert "Storeys" not in read(record).words
 
 

@@ -65,6 +65,15 @@ def test_recordings_are_listed_from_the_worst_and_lead_to_their_reports():
     assert 'href="a%20%22b%22%231/report.html"' in odd
 
 
+def test_the_last_of_many_recordings_is_not_folded_alone():
+    def folded(count: int) -> list[str]:
+        page = page_of([outcome(f"walk-{i}", {"right": 3}, (0.0, 0.0, 1.6)) for i in range(count)])
+        return re.findall(r"<summary>(\d+ more)</summary>", page)
+
+    assert folded(51) == []
+    assert folded(52) == ["2 more"]
+
+
 def test_one_recording_and_one_point_outside_are_not_several():
     words = ReadPage.of(page_of([outcome("elsewhere", {"lost": 1}, (900.0, 3.0, 1.6))])).words
     assert words.startswith("1 recording - ")

@@ -1,0 +1,44 @@
+"""How messages list things, and what stays of long paths in them."""
+
+import pytest
+
+from filtering.errors import VaporTrackError, few, listed, shortened
+
+
+def test_a_list_names_all_but_two_and_more_others():
+    assert listed([], 2) == ""
+    assert listed("a", 2) == "a"
+    assert listed("ab", 2) == "a and b"
+    assert listed("abc", 2) == "a, b and c"  # "1 more" would be no shorter
+    assert listed("abcd", 2) == "a, b and 2 more"
+    assert listed(range(9), 2, "; ", others="more ranges") == "0; 1; and 7 more ranges"
+    assert few("abcd", 2) == ["a", "b", "2 more"]
+
+
+@pytest.mark.parametrize(
+    ("path", "kept"),
+    [
+        (
+            "/home/someone/recordings/of-2026/ros_bags/t265_trimmed_locoffice.bag",
+            ".../ros_bags/t265_trimmed_locoffice.bag",
+        ),
+        ("/home/someone/recordings/" + "long-name" * 5 + ".mcap", ".../" + "long-name" * 5 + ".mcap"),
+        ("/home/someone/recordings/" + "long-name" * 5 + "/", ".../" + "long-name" * 5 + "/"),
+        ("/short/path.bag", "/short/path.bag"),
+    ],
+)
+def test_of_long_paths_in_long_messages_names_of_files_and_folders_stay_whole(path, kept):
+    said = str(VaporTrackError(f"{path}: {'no such thing, ' * 25}"))
+    assert said.startswith(f"{kept}: no such")
+
+
+def test_notices_shorten_long_paths_between_folders():
+    folders = "/".join(f"folder-number-{i}" for i in range(20))
+    said = shortened(f"left out: /{folders}/walk.mcap, {'as it is said here, ' * 10}")
+    (path,) = [word for word in said.split() if "walk" in word]
+    begin, end = path.split("…")
+    assert f"/{folders}/".startswith(begin)
+    assert begin.endswith("/")
+    assert f"/{folders}/walk.mcap,".endswith(end)
+    assert end.startswith("/")
+    assert len(said) <= 300
