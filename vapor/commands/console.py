@@ -112,7 +112,7 @@ def show(content: str | Text | Table) -> None:
         write("\n".join(map(wrapped, content.splitlines())) if at_terminal else content)
         return
     if isinstance(content, Table) and content.title is not None:
-        show(str(content.title))
+        write(wrapped(str(content.title)))
         content = copy(content)
         content.title = None
     console = Console(highlight=False, markup=False, width=width(), color_system=color_system())
