@@ -14,7 +14,7 @@ import numpy as np
 import tyro
 from rich.table import Table
 
-from filtering.errors import VaporTrackError, shortened
+from filtering.errors import VaporTrackError, few, listed, shortened
 from sequences.datasets.points import scene_points
 from sequences.frame import Frame
 from sequences.options import SequenceOptions
@@ -32,6 +32,7 @@ from vapor.commands.console import (
     skipped_lines,
     usage_error,
 )
+from vapor.commands.model_name import OF_MODEL
 from vapor.commands.progress import progress
 from vapor.engines.engine import Device, EngineConfig
 from vapor.inspection.camera import CameraCheck
@@ -68,7 +69,7 @@ class Options:
     data: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="DATA ...")]
     """MCAP files, rosbag2 folders, data set folders or files that list a split. PATH@100:200 takes only images 100 to
     199 of it."""
-    model: str | None = None
+    model: Annotated[str | None, OF_MODEL] = None
     """Also report where this model is unsure or wrong: a model file, or the name of one that ships with the package."""
     output: OutputPath | None = None
     """Folder for report.html and report.json, and with true poses map.png and recording.rrd; new or with earlier
@@ -176,10 +177,6 @@ def _points(found: Inspection) -> list[str]:
     return [f"{number}. {sentence}" for number, sentence in enumerate(found.verdict.points, 1)]
 
 
-def _first(items: Sequence[str]) -> str:
-    return ", ".join(items[:_NAMED]) + (", ..." if len(items) > _NAMED else "")
-
-
 def _table(walks: Sequence[Walk]) -> Table:
     table = Table(
         title="Recordings",
@@ -213,9 +210,9 @@ def _walk_lines(walks: Sequence[Walk]) -> Iterator[str]:
         if walk.source.assumed_hz is not None:
             yield f"{walk.name}: has no stamps: {walk.source.assumed_hz} Hz assumed, gaps cannot be seen"
         if gaps := [f"{long_s:.2f} s at {at_s:.1f} s" for at_s, long_s in walk.gaps]:
-            yield f"{walk.name}: {len(gaps)} gaps between images: {_first(gaps)}"
+            yield f"{walk.name}: {len(gaps)} gaps between images: {listed(gaps, _NAMED)}"
         if frozen := [f"{begin} to {end}" for begin, end in walk.frozen]:
-            yield f"{walk.name}: one and the same image: {_first(frozen)}"
+            yield f"{walk.name}: one and the same image: {listed(frozen, _NAMED)}"
     sources = list({id(walk.source): walk.source for walk in walks}.values())
     yield from dict.fromkeys(notice for source in sources for notice in source.notices)
     if counts := [source.counts for source in sources if source.counts is not None]:
@@ -257,17 +254,17 @@ def _odometry_lines(found: Inspection) -> Iterator[str]:
         yield f"motions of odometry and true poses over a second: correlation {axes.correlation:.2f}{mirrored}{turned}"
     if check.late_ms:
         late = [f"{late_said(ms)} ({name})" for name, ms in check.late_ms.items()]
-        yield f"odometry's stamps against the true poses: {_first(late)}"
+        yield f"odometry's stamps against the true poses: {listed(late, _NAMED)}"
     for reason in dict.fromkeys(check.unknown_late.values()):
         names = [name for name, own in check.unknown_late.items() if own == reason]
-        yield f"odometry's stamps against the true poses are unknown in {_first(names)}: {reason}"
+        yield f"odometry's stamps against the true poses are unknown in {listed(names, _NAMED)}: {reason}"
     yield from [f"errors unknown: {check.no_fit}"] if check.fit is None else str(check.fit).splitlines()
 
 
 def _clock_lines(clocks: Sequence[ImageClock]) -> Iterator[str]:
     known = [(clock.name, clock.late_ms, clock.against) for clock in clocks if clock.late_ms is not None]
     if late := [f"{late_said(late_ms)} against the {against} ({name})" for name, late_ms, against in known]:
-        yield f"stamps of the images, by the motion that they show: {_first(late)}"
+        yield f"stamps of the images, by the motion that they show: {listed(late, _NAMED)}"
 
 
 def _view_lines(walks: Sequence[Walk]) -> Iterator[str]:
@@ -308,7 +305,4 @@ def _model_lines(predictions: Predictions, coverage: Coverage | None) -> Iterato
         f"right (0.3 m, 20°) in {100 * figures['right']:.0f} % of the images with true poses, median error"
         f" {'?' if error is None else f'{error:.2g}'} m; images that it was trained on look better than new ones"
     )
-    weak = predictions.weak_places(coverage)
-    yield from map(str, weak[:_NAMED])
-    if len(weak) > _NAMED:
-        yield f"and {len(weak) - _NAMED} more where most images are wrong"
+    yield from few(predictions.weak_places(coverage), _NAMED, others="more places where most images are wrong")

@@ -8,5 +8,7 @@ import tyro
 
 from vapor.checkpoints.file_format import shipped_models
 
-ModelName = Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(shipped_models())}}}|PATH")]
+OF_MODEL = tyro.conf.arg(metavar=f"{{{','.join(shipped_models())}}}|PATH")
+"""What stands for the value of such an option."""
+ModelName = Annotated[str, OF_MODEL]
 """A model that ships, by its name, or a model file."""
