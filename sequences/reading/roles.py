@@ -72,8 +72,10 @@ class Roles:
                 if self.odometry_required and not (odometry == "auto" and isinstance(error, NoOdometryError)):
                     raise
                 if odometry == "auto":
+                    named = bag.topics.get(options.ground_truth_topic or "")
+                    other = " other" if named is not None and named.read_as == ODOMETRY_TYPE else ""
                     self.no_odometry = (
-                        f"no topic is of type {ODOMETRY_TYPE}, and in tf {self.camera_frame or 'the camera'} does not"
+                        f"no{other} topic is of type {ODOMETRY_TYPE}, and in tf {self.camera_frame or 'the camera'} does not"
                         f" move in a frame odom{several_robots(bag)}"
                     )
                 self.odometry_required = False

@@ -205,8 +205,8 @@ def choose(
             return None
         if not candidates:
             raise NotFoundError(
-                f"{bag.path}: no {role} topic, expected one of type {expected}{several_robots(bag)};"
-                f" {listing(bag.topics.values())}"
+                f"{bag.path}: no{' other' * (besides in bag.topics)} {role} topic, expected one of type {expected}{several_robots(bag)};"
+                f" {listing(known)}"
             )
         if len(candidates) > 1:
             none = "" if required else ", or '' for none"
