@@ -17,7 +17,7 @@ from filtering.se3 import Poses
 from sequences.datasets.layout import PosedImages
 from sequences.datasets.layout_helpers.image_files import decoded_file, find_camera, images_in, size_of_first
 from sequences.datasets.layout_helpers.packed import VIDEO_SUFFIXES, VideoFile
-from sequences.datasets.listing import clipped, found_images, is_data_set, is_recording, list_images, none_among
+from sequences.datasets.listing import clipped, found_images, is_recording, list_images, none_among
 from sequences.errors import SequenceError
 from sequences.files import Rows
 from sequences.frame import ASSUMED_HZ, Camera, Frame
@@ -46,14 +46,11 @@ class _Dated(NamedTuple):
 
 
 def is_image_sequence(path: Path) -> bool:
-    """Whether a path is a video file by its name, a data set, or a folder with images and without a recording in it.
-
-    Raises SequenceError where a file of a data set is missing or damaged.
-    """
+    """Whether a path is a video file by its name, a list or archive of a data set, or a folder without a recording."""
     if not path.is_dir():
         return path.suffix.lower() in VIDEO_SUFFIXES or (path.is_file() and not is_recording(path))
     recorded = (path / "metadata.yaml").is_file() or any(file.suffix.lower() in SUFFIXES for file in path.iterdir())
-    return not recorded and (bool(images_in(path)) or is_data_set(path))
+    return not recorded
 
 
 class ImageSequence:
@@ -126,7 +123,9 @@ class ImageSequence:
             self.has_stamps, self.num_images = self._posed.assumed_hz is None, len(self._posed)
         elif self.path.is_dir():
             if not self._files:
-                raise SequenceError(f"{path}: no images, expected PNG or JPEG files in the folder")
+                raise SequenceError(
+                    f"{path}: no images, expected PNG or JPEG files, a data set or a recording in the folder"
+                )
             lens = self._find_lens(self.path, size_of_first(self._files))
             self.num_images = len(self._files)
         else:
@@ -204,9 +203,7 @@ class ImageSequence:
         counts.stated += unread
         counts.skipped = +counts.skipped
         if segment is None and counts.read:
-            raise SequenceError(
-                f"{self.path}: {none_among(self._part, counts.read, posed=self._posed is not None)}"
-            )
+            raise SequenceError(f"{self.path}: {none_among(self._part, counts.read, posed=self._posed is not None)}")
         if not counts.used:
             found = ", ".join(f"{count} × {reason}" for reason, count in counts.skipped.items()) or "none was read"
             late = None if segment is None or latest_ns is None else segment.begins_after(latest_ns)

@@ -66,9 +66,7 @@ def clipped(frames: slice, count: int) -> str | None:
     if frames.stop is None or frames.stop <= count or count <= (first := frames.start or 0):
         return None
     taken = f"{first} to {count - 1} were" if first < count - 1 else f"{first} was"
-    return (
-        f"images {as_typed(frames)} were asked for, and there are {count}, numbered 0 to {count - 1}: {taken} taken"
-    )
+    return f"images {as_typed(frames)} were asked for, and there are {count}, numbered 0 to {count - 1}: {taken} taken"
 
 
 def is_data_set(path: Path) -> bool:

@@ -204,7 +204,7 @@ def _read_listing(folder: Path) -> _Listing:
         else:
             made = Path(f"{folder if folder.name else folder.absolute()}.mcap")
             words = shlex.join(["vapor-track", "convert", str(folder), str(made)])
-            helps = f"; of a data set with true poses `{words}` makes one"
+            helps = f"; `{words}` makes one of a data set"
         raise SequenceError(f"{folder}: folder has no metadata.yaml, expected an .mcap file or a rosbag2 folder{helps}")
     content = read_yaml(path)
     content = content.get("rosbag2_bagfile_information", content)

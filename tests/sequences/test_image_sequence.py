@@ -287,7 +287,7 @@ def test_a_part_is_taken_by_the_numbers_of_the_images(clip, tmp_path):
     whole = "in frames 10:20: there are 10, numbered 0 to 9$"
     with pytest.raises(SequenceError, match=f"scene: no image with a true pose {whole}"):
         list(ImageSequence(data, frames=slice(10, 20)))
-    with pytest.raises(SequenceError, match="images: no image in frames 2:: there are 2, numbered 0 to 1$"):
+    with pytest.raises(SequenceError, match=r"images: no image in frames 2:: there are 2, numbered 0 to 1$"):
         list(ImageSequence(folder_of(tmp_path / "images", ["1", "2"]), frames=slice(2, None)))
     last = ImageSequence(data, frames=slice(9, 11))
     assert len(list(last)) == 1

@@ -28,7 +28,9 @@ def usual_of(data: Sequence[Path | str], reading: SequenceOptions | None) -> Cam
     sequences = open_sequences(data, reading, "unread")
     with suppress(SequenceError):  # without true poses, or said when it is read
         camera = commonest_camera(sequences)
-        names = {name for frames in sequences.values() if isinstance(frames, PosedFrames) for name in frames.camera_names}
+        names = {
+            name for frames in sequences.values() if isinstance(frames, PosedFrames) for name in frames.camera_names
+        }
         return camera if len(names) < 2 else None
     return None
 

@@ -50,10 +50,10 @@ def is_batch(paths: Sequence[Path]) -> bool:
 def find_sequences(paths: Sequence[Path], output: Path) -> dict[str, Path]:
     """Sequences by the names of their results, in order.
 
-    A file, a rosbag2 folder or the folder of a data set is a sequence. Any other folder, and a data set of several
-    sequences or a damaged one, stands for all recordings, videos and data sets below it but for results of earlier
-    runs; where there are none, for itself: its images, or an error when it is opened. A sequence found twice is listed once. A name is that
-    of the file or folder, preceded by folders above it where others have it too.
+    A file, a rosbag2 folder or the folder of a data set is a sequence. Any other folder, as of a data set of several
+    sequences or of a damaged one, stands for all recordings, videos and data sets below it but for results of earlier
+    runs; where there are none, for itself: its images, or an error when it is opened. A sequence found twice is listed
+    once. A name is that of the file or folder, preceded by folders above it where others have it too.
     """
     found: dict[Path, Path] = {}
     for path in paths:

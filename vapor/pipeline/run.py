@@ -268,7 +268,7 @@ def _with_inertial(frames: FrameSource, reading: SequenceOptions, *, usual_up: U
         reading: Its topics.
         usual_up: Which way is up for a robot.
     """
-    if is_image_sequence(frames.path):
+    if "image_topic" not in frames.resolved:  # images alone
         return frames
     localized = replace(reading, image_topic=frames.resolved["image_topic"].split(",")[0])
     samples, notices = read_inertial(frames.path, localized)

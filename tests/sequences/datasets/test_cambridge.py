@@ -87,7 +87,10 @@ def test_what_a_cambridge_list_leaves_out_is_counted(tmp_path: Path) -> None:
         (HEADER + "seq2/frame00009.png 1 2 3 1 0 0 a\n", "4: 'a' is no number"),
         (HEADER + "seq2/frame00009.png 1 2 3 0 0 0 0\n", "4: quaternion of length 0, expected a unit quaternion"),
         (HEADER + "seq2/frame00009.png\n", "4: 1 columns"),
-        (HEADER + "seq2/frame00009.png 1 2 3 1 0 0 0\n" * 2, r"5: 'seq2/frame00009.png' is on dataset_train\.txt:4 too"),
+        (
+            HEADER + "seq2/frame00009.png 1 2 3 1 0 0 0\n" * 2,
+            r"5: 'seq2/frame00009.png' is on dataset_train\.txt:4 too",
+        ),
         ("seq2/frame00009.png 1 2 3 1 0 0 0\n" * 5, "1: .* among the first three lines, expected them to be a header"),
     ],
 )

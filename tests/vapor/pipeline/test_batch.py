@@ -233,7 +233,7 @@ def test_folders_without_a_recording_and_absent_files_fail_each_in_its_row(tiny_
     (tmp_path / "empty").mkdir()
     assert run([tmp_path / "empty", tmp_path / "gone.mcap"], tiny_model, tmp_path / "out") == 1
     printed = capsys.readouterr()
-    assert "folder has no metadata.yaml, expected an .mcap file or a rosbag2 folder" in printed.out
+    assert "empty: no images, expected PNG or JPEG files, a data set or a recording in the folder" in printed.out
     assert "gone.mcap: no such file or folder" in printed.out
     assert printed.err.endswith("2 of 2 sequences failed: empty, gone\n")
 
