@@ -98,8 +98,9 @@ def files_read(path: Path) -> Iterator[Path]:
     yield folder
     yield from (above / "intrinsics.json" for above in folder.absolute().parents[:INTRINSICS_LEVELS])
     with suppress(SequenceError):
-        images = [file.path if isinstance(file, PackedImage) else file for file in list_images(path).files]
-        yield from dict.fromkeys([*images, *(image.parent for image in images)])
+        files = list_images(path).files
+        yield from dict.fromkeys(file.path if isinstance(file, PackedImage) else file for file in files)
+        yield from {file.parent for file in files if not isinstance(file, PackedImage)}
 
 
 def _what_is_there(path: Path) -> str:

@@ -111,8 +111,9 @@ def request_of(sequence: Path, model: LoadedModel, config: RunConfig, reading: S
     The sequence counts by name and size of its files, and by both ends of some of them, evenly spread.
     """
     reading, (whole, part) = reading or SequenceOptions(), parse_entry(sequence)
-    found = [each for path in listing.files_read(whole.absolute()) for each in (path, *path.rglob("*"))]
-    files = sorted({path for path in found if path.is_file()})
+    read = dict.fromkeys(listing.files_read(whole.absolute()))
+    found = {each for path in read for each in (path.rglob("*") if path.is_dir() else [path])}
+    files = sorted(path for path in found if path.is_file())
     poses = [path for path in reading.files_read if path.is_file()]
     settings = {
         "vapor-track": version_of("vapor-track"),
