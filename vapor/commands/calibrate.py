@@ -108,6 +108,11 @@ def show_calibration(result: CalibrationResult) -> None:
             "how far the weights of two places of an image tell which is right (1: by their ratio, 0: not at all):"
             f" {result.weight_power:.2f} of a single image, {result.calibration.errors.weight_power:.2f} along a walk"
         )
+    if result.calibration.errors.verified is not None:
+        show(
+            "the model's landmarks are as they were, with the errors that its training found: this calibrates images in"
+            " which they verify no place"
+        )
     show_errors(result)
 
 
@@ -131,7 +136,7 @@ def _images(result: CalibrationResult) -> str:
 
 def _reliability_table(found: Reliability) -> Table:
     """A reliability diagram of single images: bars of how often the best place is right, and its stated probability."""
-    table = Table(title="the best place of a single image, as in the filter", title_justify="left")
+    table = Table(title="the best place of a single image, by the network alone", title_justify="left")
     for name in ("stated", "right", "images", "independent", f"0 to 100 %: {_BAR} right, {_MARK} stated"):
         table.add_column(name, no_wrap=True)
     for each in found.bins:
