@@ -159,8 +159,8 @@ def _in_words(value: str) -> str:
     """One of the kinds of value that an option takes."""
     kinds = {"INT": "a whole number", "FLOAT": "a number", "STR": "text", "PATH": "a path"}
     words = value.split()
-    if len(words) > 1 and set(words) == {"FLOAT"}:
-        return f"{len(words)} numbers"
+    if len(words) > 1 and (many := {"FLOAT": "numbers", "STR": "words"}.get(words[0])) and len(set(words)) == 1:
+        return f"{len(words)} {many}"
     if words[1:] == ["..."]:
         return f"{kinds.get(words[0], words[0])}, once or more"
     if value.startswith("{"):

@@ -71,8 +71,6 @@ class Options:
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     options, command = parse("run", Options, arguments), command_line("run", arguments)
-    if not options.sequences:
-        usage_error("run", "no sequence, expected at least one recording, video or folder of images")
     if is_batch(options.sequences):
         _run_batch(options, command)
     elif options.dask is not None or options.resume:
