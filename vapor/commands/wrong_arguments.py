@@ -52,7 +52,7 @@ def missing_arguments(arguments: Sequence[str], command: Command) -> list[str]:
             left = left[len(_values(left, option)) :]
     named = [each for _, group in command.groups.values() for each in group if not each.names]
     many = [each for each in named if "..." in each.value]
-    missing = many if free <= len(named) - len(many) else []
+    missing = [each for each in many if each.required] if free <= len(named) - len(many) else []
     return [f"missing {each.title}: {each.help.partition('. ')[0].rstrip('.')}" for each in missing]
 
 

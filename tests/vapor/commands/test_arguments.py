@@ -55,6 +55,7 @@ WRONG = {
     "an export that is none": (["export", "m", "m.pt"], "export: OUT.onnx is 'm.pt', expected a name that ends in .o"),
     "one frame": (["convert", "d", "o.mcap", "--frames", "3"], "convert: --frames is '3', expected START:STOP with"),
     "no frames to convert": (["convert", "d", "o.mcap", "--frames"], "--frames has no value, expected START:STOP\n"),
+    "no scene where none is needed": (["vapor-benchmark", "faults"], "vapor-benchmark faults: missing --output PATH"),
     "nothing": (["run"], "run: missing SEQUENCE ...: MCAP files, rosbag2"),
     "nothing but a command": (["train"], "train: missing DATA ...: MCAP files"),
     "missing all but the sequence": (["run", "--overwrite", "a.mcap"], "run: missing --model {"),
