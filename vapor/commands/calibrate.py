@@ -59,8 +59,6 @@ class Options:
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     o = parse("calibrate", Options, arguments)
-    if not o.data:
-        usage_error("calibrate", "no held-out data, expected at least one file or folder")
     if o.images < 1 or o.seed < 0:
         usage_error("calibrate", f"images {o.images} and seed {o.seed}, expected at least 1 and 0")
     reads = chain([find_model(o.model)], files_read([*o.data, *o.training], o.reading))
