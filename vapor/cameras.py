@@ -14,22 +14,26 @@ from vapor.images import cover_size
 
 _SAME_PX = 0.5  # of the images that a network sees: too little for a network to notice
 _LEAST_FRACTION = 0.8  # of the view, below which there is a notice
-_ALLOWANCE = 1.5  # of the OOD score, for an image of which nothing is seen: parts need 0.5 to 1.5 times theirs
+_ALLOWANCE = 1.5  # of the OOD score, for an image of which nothing is seen: parts need 0.5 to 1.6 times theirs
 
 
 class AsTakenBy:
     """Images of any camera, resampled as one camera would have taken them; unchanged where that camera is unknown.
 
     Parts that the other camera did not see are filled with the colours of its border, which disturbs a network least:
-    black looks like objects, and enlarging the image makes everything seem nearer. `cameras` counts the images of
-    cameras with another view; `least_fraction` is the smallest fraction of the view that any of them saw.
+    black looks like objects, and enlarging the image makes everything seem nearer.
+
+    Attributes:
+        cameras: Numbers of the images of cameras with another view.
+        fraction: Fraction of the view that the latest image shows; 1 where its camera is unknown.
     """
 
     def __init__(self, camera: Camera | None, frame_size: tuple[int, int]) -> None:
         """Set up for images that will be scaled to cover a frame of this width and height, pixels."""
         self.camera, self.frame_size = camera, frame_size
         self.cameras: Counter[Camera] = Counter()
-        self.least_fraction = 1.0
+        self.fraction = 1.0
+        self._fractions: dict[Camera, float] = {}
         self._like = None if camera is None else camera.scaled(*cover_size(camera.width, camera.height, *frame_size))
         self._aspects: Counter[tuple[int, int]] = Counter()
 
@@ -40,6 +44,7 @@ class AsTakenBy:
             image: Undistorted.
             camera: The camera that took it, at this or another image size; None where unknown.
         """
+        self.fraction = 1.0
         if self._like is None or self.camera is None:
             return image
         _, camera = undistorted(image, camera)
@@ -51,14 +56,10 @@ class AsTakenBy:
         if same_view(camera, self._like):
             return image
         self.cameras[camera] += 1
-        if self.cameras[camera] == 1:
-            self.least_fraction = min(self.least_fraction, fraction_seen(camera, of=self._like))
+        if camera not in self._fractions:
+            self._fractions[camera] = fraction_seen(camera, of=self._like)
+        self.fraction = self._fractions[camera]
         return resampled(image, camera, self._like)
-
-    @property
-    def ood_allowance(self) -> float:
-        """How much the parts that are filled in add to the OOD score of an image, at most."""
-        return _ALLOWANCE * (1.0 - self.least_fraction)
 
     @property
     def notices(self) -> list[str]:
@@ -70,13 +71,19 @@ class AsTakenBy:
             f" but the camera learned with is {described(self.camera)}"
             for (width, height), count in self._aspects.items()
         ]
-        if self.least_fraction < _LEAST_FRACTION:
+        narrowest = min(self._fractions, key=self._fractions.__getitem__, default=None)
+        if narrowest is not None and self._fractions[narrowest] < _LEAST_FRACTION:
             found.append(
-                f"the camera ({described(next(iter(self.cameras)))}) sees {self.least_fraction:.0%} of what the camera"
+                f"the camera ({described(narrowest)}) sees {self._fractions[narrowest]:.0%} of what the camera"
                 f" learned with saw ({described(self.camera)}): expect larger errors, and certainty later;"
                 " only those of its images that look very unlike the training are taken for ones of another place"
             )
         return found
+
+
+def ood_allowance(fraction: float) -> float:
+    """How much is added to the OOD score of an image at most, as only a fraction of the view is seen."""
+    return _ALLOWANCE * (1.0 - fraction)
 
 
 def described(camera: Camera) -> str:

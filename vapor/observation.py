@@ -13,7 +13,7 @@ from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from filtering.storeys import Storeys
 from sequences.frame import Camera
-from vapor.cameras import AsTakenBy
+from vapor.cameras import AsTakenBy, ood_allowance
 from vapor.checkpoints.checkpoint import Checkpoint, ModelDescription
 from vapor.checkpoints.file_format import find_model
 from vapor.engines.engine import Device, Engine, EngineConfig, EngineName, Precision
@@ -142,7 +142,7 @@ class VaporObservationModel:
         noise = rng.standard_normal((self.num_samples, self.engine.noise_dim), dtype=np.float32)
         seen = self.engine.run(prepared, noise)
         samples = Poses(seen.rotation.astype(np.float64), seen.translation.astype(np.float64))
-        ood_score = self._ood_score(seen.description)
+        ood_score = self._ood_score(seen.description, self._as_learned.fraction)
         model = self.description
         return PosePosterior.from_samples(
             samples, model.calibration.errors, ood_score=ood_score, prior=model.training_prior
@@ -158,7 +158,7 @@ class VaporObservationModel:
         as_learned = AsTakenBy(self.description.camera, self.description.network.frame_size)
         prepared = prepare(as_learned(image, camera), self.description.network)
         noise = np.zeros((self.num_samples, self.engine.noise_dim), np.float32)
-        return self._ood_score(self.engine.run(prepared, noise).description)
+        return self._ood_score(self.engine.run(prepared, noise).description, as_learned.fraction)
 
     def is_verified(self, image: np.ndarray, camera: Camera | None) -> bool | None:
         """Whether landmarks verify a place in an image of a camera; None where the model has none.
@@ -172,12 +172,12 @@ class VaporObservationModel:
         other.verifier.verify(image, camera, other.propose(image, rng=np.random.default_rng(0)))
         return bool(other.verifier.latest)
 
-    def _ood_score(self, description: np.ndarray) -> float:
-        """Score of an image by its description; 0 where the model has no scores."""
+    def _ood_score(self, description: np.ndarray, fraction: float) -> float:
+        """Score of an image by its description and the fraction of the view seen; 0 where the model has no scores."""
         if self.description.ood_model is None:
             return 0.0
         score = float(self.description.ood_model.ood_score(description[None])[0])
-        is_unlike = score > OUT_OF_DISTRIBUTION + self._as_learned.ood_allowance
+        is_unlike = score > OUT_OF_DISTRIBUTION + ood_allowance(fraction)
         return score if is_unlike else min(score, OUT_OF_DISTRIBUTION)
 
 

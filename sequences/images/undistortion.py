@@ -65,12 +65,12 @@ class Lens:
         return replace(self, camera=self.camera.scaled(width, height))
 
 
-@lru_cache(maxsize=64)
 def as_used(camera: Camera | Lens | None, *, undistort: bool) -> Camera | Lens | None:
     """The camera, without its distortion where that is to be left alone."""
     return camera.camera if isinstance(camera, Lens) and not undistort else camera
 
 
+@lru_cache(maxsize=64)
 def pinhole_of(camera: Camera | Lens) -> Camera:
     """The pinhole camera of images after undistortion; a pinhole camera itself.
 

@@ -119,9 +119,13 @@ def test_what_is_filled_in_alone_makes_no_image_foreign(closer: float, score: fl
     known = OodModel(numbers, numbers + 1, axes, numbers[:1] + 1, exemplars, away / score, away / score)
     model = VaporObservationModel(replace(checkpoint, ood_model=known), num_samples=5, device="cpu")
     other = replace(A, fx=closer * A.fx, fy=closer * A.fy)
-    posterior = model.seen_by(other).observe(taken_by(other), rng=np.random.default_rng(0))
-    assert posterior.is_out_of_distribution == foreign
-    assert posterior.ood_score == pytest.approx(score if foreign else 1.0, rel=1e-3)
+    for camera, unlike in ((other, foreign), (A, True), (other, foreign)):  # whatever was seen before
+        model.camera = camera
+        posterior = model.observe(taken_by(camera), rng=np.random.default_rng(0))
+        assert posterior.is_out_of_distribution == unlike
+        expected = pytest.approx(score if unlike else 1.0, rel=1e-3)
+        assert posterior.ood_score == expected
+        assert model.ood_score(taken_by(camera), camera) == expected
 
 
 # --- the model file --------------------------------------------------------------------------------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import cv2
@@ -11,11 +12,13 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 
 from filtering.errors import VaporTrackError
+from sequences.frame import Camera, Frame
 from vapor.observation import VaporObservationModel
 from vapor.training_data.entries import open_sequences
 
 Image = UInt8[np.ndarray, "h w 3"]
 Change = Callable[[np.ndarray, np.random.Generator], np.ndarray]
+_Sight = Callable[[Frame, np.random.Generator], tuple[Image, Camera | None]]
 
 IN_A_ROW = 10
 """Number of images whose median score decides, where a single image does not."""
@@ -53,6 +56,9 @@ CHANGED: Mapping[str, Change] = {
 }
 """Changes that leave the place recognisable."""
 
+NARROWER: Mapping[str, float] = {"64 % of the view": 0.8, "36 % of the view": 0.6}
+"""What a narrower lens shows, as a fraction of the image's edges."""
+
 
 @dataclass(frozen=True)
 class Flagged:
@@ -82,7 +88,7 @@ def evaluate_flags(
     seed: int = 0,
     advance: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[Flagged]:
-    """Score known data, the same data made other or changed, and each of the other data.
+    """Score known data, the same data made other or changed, and each of the other data, through narrower lenses too.
 
     Args:
         model: One with an OOD model; how many samples it draws makes no difference.
@@ -96,40 +102,59 @@ def evaluate_flags(
     """
     if model.description.ood_model is None:
         raise VaporTrackError("the model file has no OOD model, expected one with it (`vapor-track calibrate` adds it)")
-    changes: dict[str, Change] = {"known": lambda image, rng: image, **OUT_OF_DISTRIBUTION, **CHANGED}
-    scores: dict[str, list[Float64[np.ndarray, " n"]]] = {kind: [] for kind in changes}
+    views = {"": 1.0, **{f", {name}": edge for name, edge in NARROWER.items()}}
+    changed = {kind: _as_changed(change) for kind, change in {**OUT_OF_DISTRIBUTION, **CHANGED}.items()}
+    seen = {f"known{name}": _cut(edge) for name, edge in views.items()} | changed
+    scores: dict[str, list[Float64[np.ndarray, " n"]]] = {kind: [] for kind in seen}
     total = len(known) + len(other)
-    for done, images in enumerate(_images(known, every), 1):
-        found = _scores(model, images, changes, seed)
-        for number, kind in enumerate(changes):
+    for done, frames in enumerate(_frames(known, every), 1):
+        found = _scores(model, frames, seen, seed)
+        for number, kind in enumerate(seen):
             scores[kind].append(found[:, number])
         advance(done, total)
     rows = [_count(kind, of_kind) for kind, of_kind in scores.items()]
-    for done, (entry, images) in enumerate(zip(other, _images(other, every), strict=True), len(known) + 1):
-        found = _scores(model, images, {"known": changes["known"]}, seed)
-        rows.append(_count(Path(str(entry)).name, [found[:, 0]]))
+    for done, (entry, frames) in enumerate(zip(other, _frames(other, every), strict=True), len(known) + 1):
+        found = _scores(model, frames, {name: _cut(edge) for name, edge in views.items()}, seed)
+        rows += [_count(f"{Path(str(entry)).name}{name}", [found[:, number]]) for number, name in enumerate(views)]
         advance(done, total)
     return rows
 
 
-def _images(data: Sequence[Path | str], every: int) -> Iterator[Iterable[np.ndarray]]:
+def _frames(data: Sequence[Path | str], every: int) -> Iterator[Iterable[Frame]]:
     for frames in open_sequences(data).values():
-        yield (frame.image for number, frame in enumerate(frames) if number % every == 0)
+        yield (frame for number, frame in enumerate(frames) if number % every == 0)
+
+
+def _as_changed(change: Change) -> _Sight:
+    return lambda frame, rng: (change(frame.image, rng), frame.camera)
+
+
+def _cut(edge: float) -> _Sight:
+    """The middle of an image, by a fraction of its edges, as a narrower lens shows it."""
+
+    def seen(frame: Frame, rng: np.random.Generator) -> tuple[Image, Camera | None]:
+        height, width = frame.image.shape[:2]
+        size = round(edge * width), round(edge * height)
+        left, top = (width - size[0]) // 2, (height - size[1]) // 2
+        camera = None if frame.camera is None else frame.camera.cropped(left, top, *size)
+        return frame.image[top : top + size[1], left : left + size[0]], camera
+
+    return seen
 
 
 def _scores(
-    model: VaporObservationModel, images: Iterable[np.ndarray], changes: Mapping[str, Change], seed: int
+    model: VaporObservationModel, frames: Iterable[Frame], seen: Mapping[str, _Sight], seed: int
 ) -> Float64[np.ndarray, "n k"]:
-    """Score of each image after each of the changes, each change with random numbers of its own."""
-    streams = [np.random.default_rng([seed, number]) for number in range(len(changes))]
-    scores = [
-        [
-            model.observe(np.ascontiguousarray(change(image, rng)), rng=rng).ood_score
-            for change, rng in zip(changes.values(), streams, strict=True)
-        ]
-        for image in images
-    ]
-    return np.array(scores, np.float64).reshape(-1, len(changes))
+    """Score of each image as it is seen in each way, each with random numbers of its own."""
+    streams = [np.random.default_rng([seed, number]) for number in range(len(seen))]
+    of_camera = lru_cache(model.seen_by)
+
+    def score(frame: Frame, sight: _Sight, rng: np.random.Generator) -> float:
+        image, camera = sight(frame, rng)
+        return of_camera(camera).observe(np.ascontiguousarray(image), rng=rng).ood_score
+
+    scores = [[score(frame, sight, rng) for sight, rng in zip(seen.values(), streams, strict=True)] for frame in frames]
+    return np.array(scores, np.float64).reshape(-1, len(seen))
 
 
 def _count(kind: str, sequences: Sequence[Float64[np.ndarray, " n"]]) -> Flagged:

@@ -38,6 +38,7 @@ LENSES = {
 def test_an_undistorted_image_is_what_the_pinhole_camera_takes(lens: Lens) -> None:
     image, pinhole = undistorted(taken_by(lens), lens)
     assert pinhole == pinhole_of(lens)
+    assert pinhole is pinhole_of(lens)  # found once for all images
     assert (pinhole.width, pinhole.height, pinhole.cx, pinhole.cy) == (160, 120, 77.0, 62.0)
     difference = np.abs(image.astype(float) - taken_by(pinhole))
     assert difference.mean() < 0.7

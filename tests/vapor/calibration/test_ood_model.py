@@ -12,7 +12,7 @@ from sequences.frame import Frame
 from tests.helpers.command_line import main
 from tests.helpers.sequence_files import Walk
 from tests.helpers.tiny_model import NETWORK, altered
-from vapor.benchmark.ood_images import CHANGED, OUT_OF_DISTRIBUTION, evaluate_flags
+from vapor.benchmark.ood_images import CHANGED, NARROWER, OUT_OF_DISTRIBUTION, evaluate_flags
 from vapor.calibration.calibrate import calibrate_model
 from vapor.calibration.ood_model import fit_ood_model, learn_ood_model
 from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
@@ -193,7 +193,8 @@ def test_calibrate_learns_what_is_familiar_from_training_data_and_else_from_half
 def test_the_benchmark_counts_what_is_flagged_of_every_kind(model, walks, capsys):
     observer = VaporObservationModel.from_checkpoint(str(model), num_samples=1)
     rows = evaluate_flags(observer, [walks[0]], [walks[1]], every=4)
-    assert [row.kind for row in rows] == ["known", *OUT_OF_DISTRIBUTION, *CHANGED, "b.mcap"]
+    known, other = ([name, *(f"{name}, {each}" for each in NARROWER)] for name in ("known", "b.mcap"))
+    assert [row.kind for row in rows] == [*known, *OUT_OF_DISTRIBUTION, *CHANGED, *other]
     assert {row.images for row in rows} == {15}
     by_kind = {row.kind: row for row in rows}
     assert by_kind["uniform noise"].fraction == by_kind["uniform noise"].fraction_in_a_row == 1.0

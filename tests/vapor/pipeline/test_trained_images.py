@@ -106,13 +106,37 @@ def test_images_that_were_trained_on_are_said(scene, tmp_path, capsys):
     assert not any("were trained on" in notice for notice in report_of(tmp_path / "out")["notices"])
 
 
+def _remembered(poses: Poses) -> Poses:
+    """Poses as a model stores them."""
+    return Poses(*(each.astype(np.float32).astype(float) for each in (poses.rotation, poses.translation)))
+
+
+def _said(truth: Poses, trained: Poses) -> str | None:
+    return said_of_trained_images([truth[i] for i in range(len(truth))], _remembered(trained))
+
+
 def test_poses_that_are_near_but_not_the_same_are_of_other_images():
     rng = np.random.default_rng(0)
     trained = Poses.exp(rng.standard_normal((20, 6)) * [100, 100, 1, 1, 1, 1])
-    stored = Poses(trained.rotation.astype(np.float32).astype(float), trained.translation.astype(np.float32))
-    same = said_of_trained_images([None, *(trained[i] for i in range(20))], stored)
+    same = said_of_trained_images([None, *(trained[i] for i in range(20))], _remembered(trained))
     assert same is not None
     assert same.startswith("20 of 21 images were trained on")
-    near = trained @ Poses.exp(np.full((20, 6), 1e-3))
-    assert said_of_trained_images([near[i] for i in range(20)], stored) is None
-    assert said_of_trained_images([None, None], stored) is None
+    assert _said(trained @ Poses.exp(np.full((20, 6), 2e-5)), trained) is None
+    assert said_of_trained_images([None, None], trained) is None
+
+
+@pytest.mark.parametrize(("offset_m", "apart_m"), [(5.4e6, 3.0), (1e3, 5e-4), (0.0, 1e-6)])
+def test_lanes_side_by_side_are_of_other_images_however_far_their_origin_is(offset_m, apart_m):
+    x = np.arange(300.0)
+    lanes = [np.stack([offset_m + x, np.full(300, offset_m + y), np.zeros(300)], axis=1) for y in (1.0, 1.0 + apart_m)]
+    one, other = (Poses(np.tile(np.eye(3), (300, 1, 1)), lane) for lane in lanes)
+    assert _said(one, one) is not None
+    assert _said(one, other) is None
+
+
+def test_recordings_that_begin_at_one_pose_or_stand_at_it_are_of_other_images():
+    rng = np.random.default_rng(1)
+    walks = [Poses.exp(np.vstack([np.zeros(6), rng.standard_normal((20, 6))])) for _ in range(2)]
+    assert _said(*walks) is None
+    stand = Poses.stack([walks[0][3]] * 20)
+    assert _said(stand, Poses.concatenate([stand, walks[1]])) is None
