@@ -72,7 +72,7 @@ class ImageSequence:
         odometry_origin: None.
         no_odometry: Empty: none is expected.
         has_stamps: Whether the time stamps of the images are stated; else their rate is assumed.
-        num_images: Images in all, for progress; 0 where a video does not state it.
+        num_images: Images in all, or in the part, for progress; 0 where a video does not state it.
         image_description, odometry_description: None: no file states them.
 
     Example:
@@ -132,6 +132,7 @@ class ImageSequence:
             video = VideoFile(self.path, upright=True)
             lens = self._find_lens(self.path.parent, (video.width, video.height))
             self.num_images = video.num_frames or 0
+        self.num_images = len(range(self.num_images)[frames])
         self._lens = as_used(lens, undistort=self._options.undistort)
         self.camera: Camera | None = None if self._lens is None else pinhole_of(self._lens)
         self.counts = ImageCounts(self.num_images)
@@ -151,8 +152,8 @@ class ImageSequence:
 
     @property
     def skipped(self) -> Counter[str]:
-        """How many images of the latest iteration were left out, and poses of a data set, by reason."""
-        return self.counts.skipped + (self._posed.skipped if self._posed is not None else Counter())
+        """How many images of the latest iteration were left out, by reason."""
+        return self.counts.skipped
 
     @property
     def resolved(self) -> dict[str, Any]:
@@ -172,19 +173,21 @@ class ImageSequence:
         first, stop = self._part.start or 0, np.inf if self._part.stop is None else self._part.stop
         segment: RequestedSegment | None = None
         latest_ns: int | None = None
-        num_unlike = 0
-        for time_ns, decode, lens, pose in self._dated():
+        num_there = num_unlike = 0
+        for number, (time_ns, decode, lens, pose) in enumerate(self._dated()):
+            if number >= stop:
+                break
+            num_there = number + 1
+            if number < first:
+                continue
             counts.read += 1
             counts.stated += 1
-            if counts.read <= first:
-                counts.skipped[OUTSIDE] += 1
-                continue
             segment = segment or RequestedSegment(time_ns, options.start_s, options.duration_s)
             if latest_ns is not None and time_ns <= latest_ns:
                 counts.skipped[NOT_INCREASING] += 1
                 continue
             latest_ns = time_ns
-            if segment.ends_before(time_ns) or counts.read > stop:
+            if segment.ends_before(time_ns):
                 counts.skipped[OUTSIDE] += 1
                 segment.is_stopped = True
                 break
@@ -201,15 +204,18 @@ class ImageSequence:
             yield Frame(time_ns, image, None, pose, camera)
         counts.skipped[OUTSIDE] += (unread := max(self.num_images - counts.stated, 0) if _stopped(segment) else 0)
         counts.stated += unread
+        if self._posed is not None and self._part == slice(None):  # of a part nobody knows where they are
+            counts.stated += self._posed.skipped.total()
+            counts.skipped += self._posed.skipped
         counts.skipped = +counts.skipped
-        if segment is None and counts.read:
-            raise SequenceError(f"{self.path}: {none_among(self._part, counts.read, posed=self._posed is not None)}")
+        if segment is None and num_there:
+            raise SequenceError(f"{self.path}: {none_among(self._part, num_there, posed=self._posed is not None)}")
         if not counts.used:
             found = ", ".join(f"{count} × {reason}" for reason, count in counts.skipped.items()) or "none was read"
             late = None if segment is None or latest_ns is None else segment.begins_after(latest_ns)
             expected = late or "expected at least one that can be used"
             raise SequenceError(f"{self.path}: no image is left: {found}; {expected}")
-        if not _stopped(segment) and (fewer := clipped(self._part, counts.read)) is not None:
+        if not _stopped(segment) and (fewer := clipped(self._part, num_there)) is not None:
             self.notices.append(fewer)
         self._judge(num_unlike, whole=not _stopped(segment))
 

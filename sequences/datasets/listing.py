@@ -57,7 +57,7 @@ def none_among(frames: slice, count: int | None, *, posed: bool = True) -> str:
 
     `posed`: only images with a true pose are counted.
     """
-    there = f": there are {count}, numbered 0 to {count - 1}" if count else ", expected at least one"
+    there = f"; there are {count}, numbered 0 to {count - 1}" if count else ", expected at least one"
     return f"no image{' with a true pose' * posed} in frames {as_typed(frames)}{there}"
 
 

@@ -13,7 +13,6 @@ from sequences.errors import SequenceError
 from sequences.frame import Camera
 from sequences.image_sequence import ImageSequence, is_image_sequence
 from sequences.options import SequenceOptions
-from sequences.reading.counts import OUTSIDE
 from tests.helpers.data_sets import STEP_NS, make_7scenes, make_tum, same
 from tests.helpers.video_clips import held_upright, write_clip
 from tests.helpers.video_files import pictures
@@ -279,15 +278,16 @@ def test_a_part_is_taken_by_the_numbers_of_the_images(clip, tmp_path):
         assert frame.time_ns == other.time_ns
         assert same(frame.world_from_camera, other.world_from_camera, 1e-12)
     assert sequence.counts.are_complete
-    assert sequence.counts.skipped == {OUTSIDE: 6}
+    assert (sequence.counts.stated, sequence.counts.used, sequence.counts.skipped) == (4, 4, {})
+    assert sequence.num_images == 4
     assert not any("were asked for" in notice for notice in sequence.notices)
     beyond = ImageSequence(data, frames=slice(8, 900))
     assert len(list(beyond)) == 2
     assert "images 8:900 were asked for, and there are 10, numbered 0 to 9: 8 to 9 were taken" in beyond.notices
-    whole = "in frames 10:20: there are 10, numbered 0 to 9$"
+    whole = "in frames 10:20; there are 10, numbered 0 to 9$"
     with pytest.raises(SequenceError, match=f"scene: no image with a true pose {whole}"):
         list(ImageSequence(data, frames=slice(10, 20)))
-    with pytest.raises(SequenceError, match=r"images: no image in frames 2:: there are 2, numbered 0 to 1$"):
+    with pytest.raises(SequenceError, match=r"images: no image in frames 2:; there are 2, numbered 0 to 1$"):
         list(ImageSequence(folder_of(tmp_path / "images", ["1", "2"]), frames=slice(2, None)))
     last = ImageSequence(data, frames=slice(9, 11))
     assert len(list(last)) == 1

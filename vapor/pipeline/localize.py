@@ -93,7 +93,7 @@ def localize(
         vertical: What is known of the vertical of a frame, also by its posterior.
         place: Where it happens, for the viewer.
         allow_few_images: Whether fewer than one in ten of the images asked for are enough.
-        progress: Called after every frame with the number done and an upper bound of all.
+        progress: Called after every frame with the number done and about how many there will be.
 
     Raises:
         VaporTrackError: unusable frames, none, or too few.
@@ -133,7 +133,7 @@ def localize(
                     on_storeys.append(storeys.belief(step.estimate))
                 outputs.add(frame, step)
                 if progress is not None:
-                    progress(number, source.num_images)
+                    progress(number, _expected(number, source))
         if source.counts.are_very_few and not allow_few_images:
             raise VaporTrackError(
                 f"{source.path}: {source.counts.warning} Expected at least one in ten (--allow-few-images localizes"
@@ -146,6 +146,12 @@ def localize(
         storeys=storeys,
         storey_belief=None if storeys is None else np.stack(on_storeys),
     )
+
+
+def _expected(done: int, source: FrameSource | EstimateSequence) -> int:
+    """About how many frames there will be: not all images that are read are localized."""
+    read, images = source.counts.read, source.num_images
+    return round(done * images / read) if 0 < read < images else images
 
 
 @contextmanager

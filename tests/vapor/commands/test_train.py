@@ -110,7 +110,7 @@ def test_frames_that_are_not_there_are_told_with_how_many_are(walk_of_25, tmp_pa
     for data in (make_tum(tmp_path / "data", num_images=8), walk_of_25):
         count = 8 if data.is_dir() else 25
         words = ["train", f"{data}@900:1000", "--output", str(tmp_path / "m.safetensors"), *TRAINING]
-        said = f"no image with a true pose in frames 900:1000: there are {count}, numbered 0 to {count - 1}\n"
+        said = f"no image with a true pose in frames 900:1000; there are {count}, numbered 0 to {count - 1}\n"
         refuse(words, capsys, said)
 
 

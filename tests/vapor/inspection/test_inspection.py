@@ -123,7 +123,7 @@ def test_a_range_beyond_the_end_is_said_and_one_wholly_beyond_refused(recorded, 
     frames = posed_frames(data, frames=slice(4, 900))
     assert [frame.number for frame in frames] == list(range(4, count))
     assert frames.notices.count(f"{data}: {said}") == 1
-    with pytest.raises(SequenceError, match=f"frames 800:: there are {count}, numbered 0 to {count - 1}$"):
+    with pytest.raises(SequenceError, match=f"frames 800:; there are {count}, numbered 0 to {count - 1}$"):
         inspect([f"{data}@800:"])
 
 
