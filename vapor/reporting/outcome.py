@@ -155,9 +155,7 @@ def format_batch(outcomes: Sequence[Outcome]) -> Table:
         if o.error is not None:
             table.add_row(WholeWords(o.name), "", "", "failed", style="red")
             continue
-        error = (
-            "" if o.median_translation_m is None else f"{o.median_translation_m:.2f} m\n{o.median_rotation_deg:.1f}°"
-        )
+        error = _error(o.median_translation_m, o.median_rotation_deg)
         success = "" if o.success is None else "yes" if o.success else "no"
         table.add_row(
             WholeWords(o.name),
@@ -167,3 +165,9 @@ def format_batch(outcomes: Sequence[Outcome]) -> Table:
             *((error, success) if has_truth else ()),
         )
     return table
+
+
+def _error(metres: float | None, degrees: float | None) -> str:
+    if metres is None or degrees is None:
+        return ""
+    return f"{metres:.2f} m {degrees:.{1 if degrees < 9.95 else 0}f}°"

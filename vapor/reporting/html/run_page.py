@@ -72,7 +72,7 @@ def verdict(report: Mapping[str, Any], record: RunRecord, notices: Sequence[str]
     found = f"{filter_sentence(report).removesuffix('.')}; {_sureness(report['consistency'])}."
     for trained in filter(None, (re.match(_TRAINED_ON, notice) for notice in notices)):
         if int(trained[1]) >= _LARGE * int(trained[2]):
-            found += f" But {trained[0]}: expect larger errors of new images."
+            found += f" But {trained[0]}: expect larger errors in new images."
     return found
 
 

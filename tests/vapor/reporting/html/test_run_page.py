@@ -161,7 +161,7 @@ def test_the_verdict_says_so_where_many_images_were_trained_on(record):
 
     assert said(29) == verdict(report, record)
     assert said(30) == (
-        f"{verdict(report, record)} But 30 of 150 images were trained on: expect larger errors of new images."
+        f"{verdict(report, record)} But 30 of 150 images were trained on: expect larger errors in new images."
     )
 
 
