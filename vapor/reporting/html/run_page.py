@@ -9,18 +9,18 @@ from typing import Any
 
 from filtering.errors import listed
 from vapor.evaluation.trajectory import RIGHT, THRESHOLDS
-from vapor.reporting.calibration import calibration_table
+from vapor.reporting.calibration import LEAST_IMAGES, calibration_table
 from vapor.reporting.html.drawings import plan, reliability, status_strip
 from vapor.reporting.html.landmark_picture import landmark_caption, landmark_picture
 from vapor.reporting.html.page import Block, Page, code, folded, paragraph, picture, section, table
 from vapor.reporting.html.run_figures import belief_plot, error_plot, run_scene
-from vapor.reporting.next_steps import next_steps
+from vapor.reporting.next_steps import TRAINED_ON, next_steps
 from vapor.reporting.record import RunRecord
 from vapor.reporting.report import method_table
 from vapor.tracking.methods import METHODS, in_order
 
 _NAMED = 2  # times at which the camera was carried off
-_TRAINED_ON = r"^(\d+) of (\d+) images were trained on"  # a notice
+_TRAINED_ON = rf"^(\d+) of (\d+) images {TRAINED_ON}"  # a notice
 _LARGE = 0.2  # of the images, trained on, from which on the verdict says so
 _LIMIT_M, _LIMIT_DEG = THRESHOLDS[RIGHT]
 _WITHIN = f"within {_LIMIT_M:g} m and {_LIMIT_DEG:g}° of the truth"
@@ -162,7 +162,8 @@ def _trust(report: Mapping[str, Any]) -> list[Block] | None:
     ]
     columns, rows = calibration_table(report)
     if not rows:
-        return [paragraph("It called no image converged, so there is no region to check."), *weights]
+        few = f"Fewer than {LEAST_IMAGES} images are converged: too few to say whether the stated regions are true."
+        return [paragraph(few), *weights]
     ours = [number for number, row in enumerate(rows) if row[0] == METHODS["filter"].label]
     return [
         table(columns, rows, "True poses in the stated regions", ours),

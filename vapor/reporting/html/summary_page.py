@@ -17,7 +17,7 @@ from vapor.checkpoints.checkpoint import ModelDescription
 from vapor.reporting.html.page import Block, Page, code, folded, paragraph, section, table
 from vapor.reporting.html.plans import Plans, dots, line
 from vapor.reporting.next_steps import DOUBTS_OF_PLACE, MOST_STEPS, MOVE_ON
-from vapor.reporting.outcome import STATES, Outcome, total
+from vapor.reporting.outcome import STATES, Outcome, said_of_training, total
 from vapor.reporting.outline import Outline
 from vapor.reporting.report import is_placed
 
@@ -112,12 +112,11 @@ def _verdict(outcomes: Sequence[Outcome]) -> str:
     judged = [outcome for outcome in outcomes if outcome.success is not None]
     wrong = sum(outcome.images * outcome.states.get("wrong", 0.0) for outcome in judged)
     sure = wrong + sum(outcome.images * outcome.states.get("right", 0.0) for outcome in judged)
-    words = f"{', '.join(parts)}."
-    if not sure:
-        return words
-    images = f"{round(sure)} image{'s' * (round(sure) != 1)}"
-    are = "is" if round(wrong) == 1 else "are"
-    return f"{words} It called {images} converged; {round(wrong)} of them {are} wrong."
+    words = [f"{', '.join(parts)}.", *filter(None, [said_of_training(outcomes)])]
+    if sure:
+        images, are = f"{round(sure)} image{'s' * (round(sure) != 1)}", "is" if round(wrong) == 1 else "are"
+        words.append(f"It called {images} converged; {round(wrong)} of them {are} wrong.")
+    return " ".join(words)
 
 
 def _positions(outcome: Outcome, states: Collection[str]) -> Float64[np.ndarray, "k 3"]:
@@ -271,7 +270,7 @@ def _recordings(outcomes: Sequence[Outcome]) -> list[Block]:
         error = "" if off is None else f"{off:.2f} m  {outcome.median_rotation_deg:.1f}°"
         row = [
             outcome.name,
-            "yes" if outcome.went_well else "no",
+            f"{'yes' if outcome.went_well else 'no'}{', trained on' if outcome.trained_on else ''}",
             str(outcome.images),
             *parts,
             str(outcome.final_status),
