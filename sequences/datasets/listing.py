@@ -52,20 +52,21 @@ def as_typed(frames: slice) -> str:
     return ":".join("" if bound is None else str(bound) for bound in bounds)
 
 
-def none_among(frames: slice, count: int | None) -> str:
-    """That no image has such a number, and which numbers there are, of `count` with a true pose; None if unknown."""
+def none_among(frames: slice, count: int | None, *, posed: bool = True) -> str:
+    """That no image has such a number, and which numbers there are, of `count` in all; None if unknown.
+
+    `posed`: only images with a true pose are counted.
+    """
     there = f": there are {count}, numbered 0 to {count - 1}" if count else ", expected at least one"
-    return f"no image with a true pose in frames {as_typed(frames)}{there}"
+    return f"no image{' with a true pose' * posed} in frames {as_typed(frames)}{there}"
 
 
 def clipped(frames: slice, count: int) -> str | None:
     """That fewer images were found than were asked for, of `count` in all; None where all are there."""
     if frames.stop is None or frames.stop <= count or count <= (first := frames.start or 0):
         return None
-    return (
-        f"images {as_typed(frames)} were asked for, and there are {count}, numbered 0 to {count - 1}: {first} to"
-        f" {count - 1} were taken"
-    )
+    taken = f"{first} to {count - 1} were" if first < count - 1 else f"{first} was"
+    return f"images {as_typed(frames)} were asked for, and there are {count}, numbered 0 to {count - 1}: {taken} taken"
 
 
 def is_data_set(path: Path) -> bool:
@@ -86,7 +87,7 @@ def is_list(path: Path) -> bool:
 def files_read(path: Path) -> Iterator[Path]:
     """Files and folders that a recording or data set is read from, for outputs: they must be none of these.
 
-    For a data set: its folder or the folder of the list, images that lie elsewhere, and `intrinsics.json` above it.
+    For a data set: its folder or the folder of the list, its images and their folders, and `intrinsics.json` above it.
     Where it cannot be read: as far as known.
     """
     path = Path(path)
@@ -97,7 +98,9 @@ def files_read(path: Path) -> Iterator[Path]:
     yield folder
     yield from (above / "intrinsics.json" for above in folder.absolute().parents[:INTRINSICS_LEVELS])
     with suppress(SequenceError):
-        yield from (image.path if isinstance(image, PackedImage) else image for image in list_images(path).files)
+        files = list_images(path).files
+        yield from dict.fromkeys(file.path if isinstance(file, PackedImage) else file for file in files)
+        yield from {file.parent for file in files if not isinstance(file, PackedImage)}
 
 
 def _what_is_there(path: Path) -> str:

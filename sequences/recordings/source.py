@@ -205,8 +205,8 @@ def choose(
             return None
         if not candidates:
             raise NotFoundError(
-                f"{bag.path}: no {role} topic, expected one of type {expected}{several_robots(bag)};"
-                f" {listing(bag.topics.values())}"
+                f"{bag.path}: no{other_than(bag, besides, types)} {role} topic, expected one of type"
+                f" {expected}{several_robots(bag)}; {listing(known)}"
             )
         if len(candidates) > 1:
             none = "" if required else ", or '' for none"
@@ -221,6 +221,11 @@ def choose(
             f" {' or '.join(map(repr, chosen.encodings))}"
         )
     return chosen
+
+
+def other_than(bag: MessageSource, name: str | None, types: tuple[str, ...]) -> str:
+    """The part of "no other topic" that says that this one is of these types, and has another role; else empty."""
+    return " other" if name is not None and name in bag.topics and bag.topics[name].read_as in types else ""
 
 
 def several_robots(bag: MessageSource) -> str:

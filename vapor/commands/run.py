@@ -42,7 +42,7 @@ class Options:
     sequences: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="SEQUENCE ...")]
     """MCAP files, rosbag2 folders or ROS 1 bags with images and odometry; or images alone: video files, folders of
     images, or data set folders, whose true poses are compared with; of these, PATH@100:200 takes only images 100 to
-    199. Any other folder stands for all of these in it."""
+    199. Any other folder stands for the recordings, videos and data sets in it."""
     model: ModelName
     """Name of a model that ships with the package, or model file."""
     output: OutputPath

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from sequences.options import SequenceOptions
-from tests.helpers.data_sets import make_7scenes, make_tum
+from tests.helpers.data_sets import make_7scenes, make_cambridge, make_tum
+from tests.helpers.dot_scene import make_stray
 from tests.helpers.sequence_files import BEGIN_NS, Walk, as_split_folder, rewrite
 from tests.helpers.tiny_model import SMALL
 from vapor.pipeline import batch as batch_module
@@ -87,6 +88,26 @@ def test_a_folder_stands_for_the_data_sets_in_it_and_a_scene_for_its_sequences(t
     assert is_batch([scene])
     touch(scene, "walk.mcap")  # recordings are asked for first
     assert "walk" in find_sequences([scene], tmp_path / "out")
+
+
+@pytest.mark.parametrize("stray", ["poses.txt", "transforms.json"])
+def test_a_stray_file_named_like_one_of_a_data_set_does_not_hide_recordings(stray, tmp_path):
+    touch(tmp_path / "rec", "a/walk.mcap", "b/phone.mp4", "hall.mp4", stray)
+    assert set(find_sequences([tmp_path / "rec"], tmp_path / "out")) == {"walk", "phone", "hall"}
+
+
+def test_a_damaged_data_set_is_a_sequence_that_fails_in_its_row(tmp_path):
+    scan, desk = make_stray(tmp_path / "all" / "scan"), make_tum(tmp_path / "all" / "desk", num_images=2)
+    (scan / "odometry.csv").write_text("nothing of use\n")
+    (desk / "rgb.txt").write_text("nothing of use\n")
+    assert not is_batch([scan])
+    assert not is_batch([desk])
+    assert find_sequences([tmp_path / "all"], tmp_path / "out") == {"desk": desk, "scan": scan}
+
+
+def test_a_scene_of_cambridge_landmarks_stands_for_its_sequences(tmp_path):
+    scene = make_cambridge(tmp_path / "scene")
+    assert set(find_sequences([scene], tmp_path / "out").values()) == {scene / f"seq{number}" for number in (1, 2, 10)}
 
 
 def test_names_are_unique_and_as_short_as_they_can_be(tmp_path):
@@ -212,7 +233,7 @@ def test_folders_without_a_recording_and_absent_files_fail_each_in_its_row(tiny_
     (tmp_path / "empty").mkdir()
     assert run([tmp_path / "empty", tmp_path / "gone.mcap"], tiny_model, tmp_path / "out") == 1
     printed = capsys.readouterr()
-    assert "folder has no metadata.yaml, expected an .mcap file or a rosbag2 folder" in printed.out
+    assert "empty: no images, expected PNG or JPEG files, a data set or a recording in the folder" in printed.out
     assert "gone.mcap: no such file or folder" in printed.out
     assert printed.err.endswith("2 of 2 sequences failed: empty, gone\n")
 
