@@ -191,6 +191,7 @@ def run_into(
         )
         record = replace(
             record,
+            odometry=frames.odometry_origin,
             inliers=verified.inliers,
             landmarks=verified.middle(record.methods["filter"].poses),
             outline=Outline.of_model(observation.description),

@@ -162,24 +162,25 @@ def format_batch(outcomes: Sequence[Outcome]) -> Table:
     has_truth = any(outcome.median_translation_m is not None for outcome in outcomes)
     table = Table()
     table.add_column("sequence")
-    for name in ("images", "duration", "converged", "at the end"):
-        table.add_column(name, justify="right")
-    for name in ("median error", "success") if has_truth else ():
+    for name in ("images", "converged", "at the\nend", *(("median\nerror", "success") if has_truth else ())):
         table.add_column(name, justify="right")
     for o in outcomes:
         if o.error is not None:
-            table.add_row(WholeWords(o.name), "", "", "", "failed", style="red")
+            table.add_row(WholeWords(o.name), "", "", "failed", style="red")
             continue
-        error = (
-            "" if o.median_translation_m is None else f"{o.median_translation_m:.2f} m  {o.median_rotation_deg:5.1f}°"
-        )
+        error = _error(o.median_translation_m, o.median_rotation_deg)
         success = "" if o.success is None else "yes" if o.success else "no"
         table.add_row(
             WholeWords(o.name),
             str(o.images),
-            f"{o.duration_s:.1f} s",
             f"{100 * o.status['converged']:.0f} %",
             o.final_status,
             *((error, success) if has_truth else ()),
         )
     return table
+
+
+def _error(metres: float | None, degrees: float | None) -> str:
+    if metres is None or degrees is None:
+        return ""
+    return f"{metres:.2f} m {degrees:.{1 if degrees < 9.95 else 0}f}°"

@@ -15,6 +15,7 @@ from filtering.motion import measured
 from filtering.se3 import Poses
 from filtering.storeys import Storeys
 from sequences.frame import Frame, Trajectory
+from sequences.options import OdometryOrigin
 from sequences.reading.counts import ImageCounts
 from vapor.landmarks.verify import ShownLandmarks
 from vapor.reporting.drawing import as_jpeg, shrunk
@@ -150,6 +151,8 @@ class RunRecord:
         methods: Trajectory of every tracking method by its name, in the order of `METHODS`. That of single images has
             the best mode of each one's posterior. Dead reckoning starts at the first true pose, or else at the first
             estimate, and again after a gap in the odometry.
+        restarts: How often dead reckoning starts again.
+        odometry: What shows the motion between the images; None where nothing does.
         covariance: Covariance of ξ = (v, ω) in the tangent at the filter's best mode, metres and radians, (n, 6, 6).
         degrees_of_freedom: Of that mode, see `Mode`, (n,).
         innovation: Normalised innovation squared per degree of freedom of that mode, (n,); NaN where there is none.
@@ -199,6 +202,8 @@ class RunRecord:
     skipped: Mapping[str, int]
     images: ImageCounts | None
     peak_rss_mb: float | None
+    restarts: int = 0
+    odometry: OdometryOrigin | None = "recorded"
     look_back: LookBack | None = None
     storeys: Storeys | None = None
     storey_belief: Float64[np.ndarray, "n f"] | None = None
@@ -221,7 +226,7 @@ class RunRecorder:
         self._times_ns: list[int] = []
         self._poses: dict[str, list[Poses]] = {}
         self._dead_reckoning: list[Poses] = []
-        self._has_odometry = False
+        self._has_odometry, self._starts = False, 0
         self._truth: list[tuple[int, Poses]] = []
         self._covariance: list[np.ndarray] = []
         self._status: list[Status] = []
@@ -240,6 +245,7 @@ class RunRecorder:
         else:  # the first image, of the run or after a gap; a sequence without odometry shows no dead reckoning
             start = best.world_from_camera if frame.world_from_reference is None else frame.world_from_reference
             self._dead_reckoning.append(start)
+            self._starts += 1
         if frame.world_from_reference is not None:
             self._truth.append((frame.time_ns, frame.world_from_reference))
         self._times_ns.append(frame.time_ns)
@@ -317,6 +323,7 @@ class RunRecorder:
             skipped=dict(sorted((skipped or {}).items())),
             images=images,
             peak_rss_mb=peak_rss_mb,
+            restarts=self._starts - 1 if self._has_odometry else 0,
             cameras=tuple(name for name, _ in self._cameras),
             left_out=np.array([left_out for _, left_out in self._cameras], bool),
         )

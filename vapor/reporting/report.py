@@ -38,12 +38,13 @@ def build_report(record: RunRecord) -> dict[str, Any]:
     """The content of `report.json`; the same for the same run but for `step_ms` and `peak_rss_mb`.
 
     Returns:
-        `frames`, `frames_with_true_pose`, `skipped`, `images` (see `ImageCounts`), `duration_s`, `status` (fraction of
-        the images by status), `smoothed_doubtful` (number of poses; null without a smoothed trajectory), `hindsight`
-        (see below; null without), `particles` (median), `step_ms`, `peak_rss_mb`, with landmarks `verified` (fraction
-        of the images) and `inliers` (median number of landmarks in these), and `storeys` (see `evaluate_storeys`; null
-        where there is one only). With true poses also each method's metrics (see `evaluate_trajectory`), `consistency`
-        (see `evaluate_consistency`), and `reliability` of the weight of the best mode (see `Reliability.as_json`).
+        `frames`, `frames_with_true_pose`, `skipped`, `images` (see `ImageCounts`), `duration_s`, `odometry` (what shows
+        the motion: `recorded`, `visual`, `both`, or null), `status` (fraction of the images by status),
+        `smoothed_doubtful` (number of poses; null without a smoothed trajectory), `hindsight` (see below; null
+        without), `particles` (median), `step_ms`, `peak_rss_mb`, with landmarks `verified` (fraction of the images) and
+        `inliers` (median number of landmarks in these), and `storeys` (see `evaluate_storeys`; null where there is one
+        only). With true poses also each method's metrics (see `evaluate_trajectory`), `consistency` (see
+        `evaluate_consistency`), and `reliability` of the weight of the best mode (see `Reliability.as_json`).
 
         `hindsight`: `ambiguous` (number of smoothed poses), `second_probability` (of the second trajectory's end; 0
         where there is none), `carried_off_s` (when the camera was carried off, seconds since the first image), and with
@@ -59,6 +60,7 @@ def build_report(record: RunRecord) -> dict[str, Any]:
         "skipped": dict(record.skipped),
         "images": None if record.images is None else record.images.as_json(),
         "duration_s": float(record.times_ns[-1] - record.times_ns[0]) / 1e9,
+        "odometry": record.odometry,
         "status": status_parts(record.status),
         "smoothed_doubtful": None if doubts is None else int(doubts.sum()),
         "hindsight": None,
@@ -121,7 +123,12 @@ def status_parts(status: Sequence[Status]) -> dict[str, float]:
 
 def is_placed(parts: Mapping[str, float]) -> bool:
     """Whether positions of a run say anything, by its `status_parts`: some are converged, and most are not lost."""
-    return parts.get("converged", 0.0) >= HARDLY and parts.get("lost", 0.0) < _MOSTLY_LOST
+    return parts.get("converged", 0.0) >= HARDLY and not is_mostly_lost(parts)
+
+
+def is_mostly_lost(parts: Mapping[str, float]) -> bool:
+    """Whether most images of a run fit nowhere, by its `status_parts`."""
+    return parts.get("lost", 0.0) >= _MOSTLY_LOST
 
 
 def place_notice(report: Mapping[str, Any]) -> str | None:

@@ -335,9 +335,20 @@ def test_names_of_files_are_never_cut_within_a_word(report, capsys, monkeypatch)
     assert out.splitlines()[0] == f"/data/results/{name}"
     out = shown(format_batch([OUTCOME, replace(OUTCOME, name=name)]), 80, capsys, monkeypatch)
     assert max(map(cell_len, out.splitlines())) <= 80
-    cells = [line.split("│")[1].strip() for line in out.splitlines() if line.startswith("│")]
+    cells = names_in(out)
     assert "".join(cells) == OUTCOME.name + name
-    assert all(cell[-1] in "-/_" or cell in ("building", "back.mcap") for cell in cells)
+    assert all(cell[-1] in "-/_" or cell in (OUTCOME.name, "back.mcap") for cell in cells)
+
+
+def test_names_of_recordings_have_room_in_their_column(capsys, monkeypatch):
+    long = replace(OUTCOME, name="rgbd_dataset_freiburg1_xyz@0:60", final_status="ambiguous")
+    out = shown(format_batch([OUTCOME, long]), 80, capsys, monkeypatch)
+    assert names_in(out) == [OUTCOME.name, "rgbd_dataset_", "freiburg1_xyz@0:60"]
+
+
+def names_in(table: str) -> list[str]:
+    cells = [line.split("│")[1].strip() for line in table.splitlines() if line.startswith("│")]
+    return [cell for cell in cells if cell]
 
 
 @pytest.mark.parametrize(

@@ -138,6 +138,7 @@ def test_odometry_that_is_ignored_is_not_taken_for_true_poses(walk_of_25, tiny_m
     path = rewrite(walk_of_25, tmp_path / "world.mcap", keep=lambda topic, _: topic != TRUTH, data=renamed)
     assert run(path, tiny_model, tmp_path / "out", "--odometry", "none") == 0
     assert report_of(tmp_path / "out")["frames_with_true_pose"] == 0
+    assert report_of(tmp_path / "out")["odometry"] is None
 
 
 def test_why_there_is_no_odometry_is_said(without, tiny_model, tmp_path, capsys):
@@ -145,6 +146,7 @@ def test_why_there_is_no_odometry_is_said(without, tiny_model, tmp_path, capsys)
     (said,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("odometry ")]
     looked_for = "no topic is of type nav_msgs/Odometry, and in tf camera_optical_frame does not move in a frame odom"
     assert said == f"{SAID} and dead reckoning does not; none is recorded: {looked_for}"
+    assert report_of(tmp_path / "out")["odometry"] == "visual"
     assert not any("odometry" in notice for notice in report_of(tmp_path / "out")["notices"])  # it is a plain fact
     page = ReadPage.of((tmp_path / "out" / "report.html").read_text())
     assert "Odometry: made from the images, in a unit" in page.words

@@ -95,7 +95,7 @@ def test_a_run_prints_its_table_and_where_things_lie_and_no_error(finished):
 
 def test_the_report_has_exactly_the_keys_of_its_contract(finished):
     report = report_of(finished.directory)
-    about = {"frames", "frames_with_true_pose", "skipped", "images", "duration_s", "status", "particles"}
+    about = {"frames", "frames_with_true_pose", "skipped", "images", "duration_s", "odometry", "status", "particles"}
     assert set(report) == METHODS | about | {
         "smoothed_doubtful",
         "hindsight",
@@ -292,6 +292,7 @@ def test_a_run_of_one_image_is_a_run(tiny_model, tmp_path):
     assert run(Walk(1).write(tmp_path / "one.mcap"), tiny_model, tmp_path / "out") == 0
     report = report_of(tmp_path / "out")
     assert report["frames"] == 1
+    assert report["odometry"] == "recorded"
     assert set(report) & METHODS == METHODS - {"dead_reckoning"}
 
 

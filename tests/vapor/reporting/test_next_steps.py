@@ -21,6 +21,7 @@ from vapor.training_data.ground import describe_unshown
 CAMERA = Camera(width=160, height=120, fx=120.0, fy=120.0, cx=79.5, cy=59.5)
 GOOD = {
     "frames": 100,
+    "odometry": "recorded",
     "status": {"converged": 0.9, "ambiguous": 0.1, "lost": 0.0},
     "hindsight": {"ambiguous": 0},
     "consistency": {"images": 90, "wrong": 0.0, "coverage": {"90%": 0.92}},
@@ -86,7 +87,7 @@ def few() -> str:
 
 def trained() -> str:
     poses = true_walk(3)
-    return said_of_trained_images([poses[1], None], poses)
+    return said_of_trained_images([*poses, None], poses)
 
 
 @pytest.mark.parametrize(
@@ -173,6 +174,41 @@ def test_odometry_is_suspected_only_where_the_place_is_known():
     (step,), others = next_steps({**GOOD, **many, "status": {"converged": 0.1, "ambiguous": 0.9}}, [doubtful])
     assert step[0].startswith("Move on")
     assert others == [doubtful]
+    for origin in ("visual", None):  # there is none to check
+        assert next_steps({**GOOD, **many, "odometry": origin}, [doubtful]) == ([], [doubtful])
+    assert actions(doubtful, **many, odometry="both") == [action]
+
+
+ASSUMED = "no time stamps: 30 images a second are assumed (--rate-hz)"
+STATE = "State how many images a second were taken, by --rate-hz"
+
+
+def test_a_rate_that_was_assumed_is_asked_for_first_where_the_motion_is_in_doubt():
+    fits_nowhere = LookBack({}, None, np.zeros(20, bool), np.zeros(20), np.zeros(20, bool))
+    doubtful = doubtful_notice(replace(simulated_record(20), look_back=fits_nowhere))
+    images_alone = {**GOOD, "odometry": "visual"}
+
+    def first(*notices: str, **of_report) -> str | None:
+        steps, _ = next_steps({**images_alone, **of_report}, [*notices, ASSUMED])
+        return next((action.partition(":")[0] for action, _ in steps), None)
+
+    assert first() is None
+    assert first("before 2 images the images do not say how the camera moved") is None
+    assert first("before 28 images the images do not say how the camera moved") == STATE
+    assert first(doubtful, narrower(), smoothed_doubtful=20) == STATE
+    assert first(status={"converged": 0.4, "ambiguous": 0.6, "lost": 0.0}) == STATE
+    steps, others = next_steps({**images_alone, "smoothed_doubtful": 20}, [doubtful, ASSUMED])
+    assert [reason for _, reason in steps] == [f"N{ASSUMED[1:]}."]
+    assert others == [doubtful]
+
+
+def test_where_the_place_is_in_doubt_that_comes_before_the_rate_and_where_most_are_lost_the_rate_is_not_asked():
+    lost = {"converged": 0.0, "ambiguous": 0.0, "lost": 1.0}
+    (action,) = actions(ASSUMED, unrecognised(lambda image, camera: 3.0), odometry="visual", status=lost)
+    assert action.startswith("Check that the model is of this place.")
+    ambiguous = {"converged": 0.0, "ambiguous": 1.0, "lost": 0.0}
+    asked = actions(ASSUMED, nowhere(), odometry="visual", status=ambiguous)
+    assert [action.partition(":")[0].split(" in ")[0] for action in asked] == ["Check that the walk is", STATE]
 
 
 def test_steps_are_few_and_those_left_out_are_notices():

@@ -141,8 +141,7 @@ function scene(element, data) {
     at = Math.max(0, Math.min(data.moments.length - 1, index));
     const moment = data.moments[at];
     slider.value = at;
-    output.textContent = `${moment.time_s.toFixed(1)} s · ${moment.status} · ${moment.weights.length} ` +
-      (moment.weights.length === 1 ? "mode" : `modes, best ${Math.round(100 * moment.weights[0])} %`);
+    output.textContent = `${moment.time_s.toFixed(1)} s · ${moment.status} · ${moment.belief}`;
     slider.setAttribute("aria-valuetext", output.textContent);
     const away = button => Math.abs(data.moments[Number(button.dataset.moment)].time_s - moment.time_s);
     const nearest = buttons.reduce((best, each) => away(each) < away(best) ? each : best, buttons[0]);

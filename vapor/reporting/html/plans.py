@@ -16,6 +16,7 @@ from vapor.reporting.outline import Outline
 
 _SIDE = 1000  # of the longer side of a plan, in its own units
 _TAIL, _MARGIN = 0.01, 0.04  # of the points, outside of a plan; of its longer side, around it
+_ROUND, _FOOT = 20, 60  # around a plan for what is drawn on its edge, and below it for the scale, in its own units
 
 
 @dataclass(frozen=True)
@@ -43,9 +44,13 @@ class Plans:
         storeys: Storeys | None,
         up: Float64[np.ndarray, "3"],
     ) -> Plans:
-        """Plans of an outline but for its most distant points, and of all positions (metres)."""
+        """Plans of the storeys that positions (metres) are on, of all without positions.
+
+        They hold all positions, and the outline of these storeys but for its most distant points.
+        """
         up = up if storeys is None else np.array(storeys.up)
-        points, inside = outline.points @ _axes(up), positions @ _axes(up)
+        shown = _on_storeys_of(outline.points.astype(float), positions, storeys)
+        points, inside = shown @ _axes(up), positions @ _axes(up)
         low, high = np.quantile(points, [_TAIL, 1.0 - _TAIL], axis=0)
         low, high = np.min([low, *inside], axis=0), np.max([high, *inside], axis=0)
         margin = max(_MARGIN * float((high - low).max()), 1e-3)
@@ -61,8 +66,7 @@ class Plans:
 
     def storey(self, positions: Float64[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
         """The number of the plan that each position is on."""
-        cuts = () if self.storeys is None else self.storeys.cuts_m
-        return np.searchsorted(cuts, positions @ self.up).astype(np.int64)
+        return _storey(positions, self.storeys)
 
     def shows(self, positions: Float64[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
         """Whether each position is within the plans' edges."""
@@ -99,14 +103,15 @@ class Plans:
         """
         points, width, height = self.outline.points.astype(float), *self.scale * self.size_m
         on_storey, bar_m = self.storey(points), _round_length(float(self.size_m.max()) / 5.0)
+        view = f"{-_ROUND} {-_ROUND} {width + 2 * _ROUND:.0f} {height + _ROUND + _FOOT:.0f}"
         plans = []
         for number, drawn in sorted(marks.items()):
             outline = dots(self.drawn(points[(on_storey == number) & self.shows(points)]))
-            bar = f"M{_SIDE * _MARGIN:.0f} {height - 24:.0f}v20m0 -10h{bar_m * self.scale:.0f}m0 -10v20"
+            bar = f"M{_SIDE * _MARGIN:.0f} {height + _ROUND:.0f}v20m0 -10h{bar_m * self.scale:.0f}m0 -10v20"
             label = f"{shown} and {self.outline.what} from above, {self.name(number)}".rstrip(", ")
             caption = f"<figcaption>{self.name(number)}</figcaption>" if self.name(number) else ""
             plans.append(
-                f'<figure><svg class="plan" viewBox="0 0 {width:.0f} {height:.0f}" role="{role}"'
+                f'<figure><svg class="plan" viewBox="{view}" role="{role}"'
                 f' aria-label="{escape(label)}">{line("points", outline)}{drawn}{line("bar", bar)}</svg>{caption}'
                 "</figure>"
             )
@@ -126,6 +131,20 @@ def line(kind: str, d: str) -> str:
 def dots(points: Float64[np.ndarray, "n 2"]) -> str:
     """Points as the commands of a line with round ends."""
     return "".join(f"M{x} {y}h0" for x, y in points.round().astype(int).tolist())
+
+
+def _storey(positions: Float64[np.ndarray, "n 3"], storeys: Storeys | None) -> Int64[np.ndarray, " n"]:
+    if storeys is None:
+        return np.zeros(len(positions), np.int64)
+    return np.searchsorted(storeys.cuts_m, positions @ np.array(storeys.up)).astype(np.int64)
+
+
+def _on_storeys_of(
+    points: Float64[np.ndarray, "p 3"], positions: Float64[np.ndarray, "n 3"], storeys: Storeys | None
+) -> Float64[np.ndarray, "q 3"]:
+    """The points on storeys of positions; all points where there are none."""
+    there = points[np.isin(_storey(points, storeys), _storey(positions, storeys))]
+    return there if len(there) else points
 
 
 def _axes(up: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "3 2"]:

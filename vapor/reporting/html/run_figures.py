@@ -14,7 +14,7 @@ from vapor.evaluation.trajectory import RIGHT, THRESHOLDS, associate, pose_error
 from vapor.reporting.drawing import COLORS, as_jpeg, rgb
 from vapor.reporting.html.drawings import ThinnedPath, evenly
 from vapor.reporting.html.page import Block, data_url, plot
-from vapor.reporting.record import Keyframe, RunRecord, choose_keyframes
+from vapor.reporting.record import Keyframe, Moment, RunRecord, choose_keyframes
 from vapor.reporting.rerun_shapes import frusta
 from vapor.tracking.methods import METHODS
 
@@ -47,7 +47,8 @@ def run_scene(record: RunRecord) -> Block:
         f"</div>{seen if keyframes else ''}{strip}</div>"
         "<figcaption>Drag to turn, scroll or pinch to zoom; a click in the legend shows or hides. "
         "Particles have the colour of the mode that they are nearest to: blue where it holds the whole belief, "
-        "orange where it holds little of it.</figcaption></figure>"
+        "orange where it holds little of it. The best mode is the one that is reported: it stays the best until "
+        "another is clearly heavier.</figcaption></figure>"
     )
     return Block(shown, {"run": data})
 
@@ -94,6 +95,7 @@ def _data(record: RunRecord) -> dict[str, Any]:
             "of": nearest.tolist(),
             "modes": _millimetres(moment.modes),
             "weights": moment.weights.round(4).tolist(),
+            "belief": _belief(moment),
             "camera": _millimetres(lines[moment.index]),
         }
         if record.inliers is not None:
@@ -133,6 +135,15 @@ def _data(record: RunRecord) -> dict[str, Any]:
         "ratio": dict(zip("xyz", ratio.round(3).tolist(), strict=True)),
         "up": (up_axis(filtered) if record.storeys is None else np.array(record.storeys.up)).tolist(),
     }
+
+
+def _belief(moment: Moment) -> str:
+    """The modes in words; the heaviest, too, where that is not the best one."""
+    if len(moment.weights) == 1:
+        return "1 mode"
+    best, heaviest = (round(100.0 * float(weight)) for weight in (moment.weights[0], moment.weights.max()))
+    words = f"{len(moment.weights)} modes, best {best} %"
+    return words if heaviest == best else f"{words}, heaviest {heaviest} %"
 
 
 def _extent(record: RunRecord) -> tuple[np.ndarray, np.ndarray]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -13,12 +14,14 @@ from vapor.reporting.html.drawings import plan, reliability, status_strip
 from vapor.reporting.html.landmark_picture import landmark_caption, landmark_picture
 from vapor.reporting.html.page import Block, Page, code, folded, paragraph, picture, section, table
 from vapor.reporting.html.run_figures import belief_plot, error_plot, run_scene
-from vapor.reporting.next_steps import next_steps
+from vapor.reporting.next_steps import TRAINED_ON, next_steps
 from vapor.reporting.record import RunRecord
 from vapor.reporting.report import method_table
 from vapor.tracking.methods import METHODS, in_order
 
 _NAMED = 2  # times at which the camera was carried off
+_TRAINED_ON = rf"^(\d+) of (\d+) images {TRAINED_ON}"  # a notice
+_LARGE = 0.2  # of the images, trained on, from which on the verdict says so
 _LIMIT_M, _LIMIT_DEG = THRESHOLDS[RIGHT]
 _WITHIN = f"within {_LIMIT_M:g} m and {_LIMIT_DEG:g}° of the truth"
 
@@ -35,15 +38,17 @@ def run_page(
     """The page of a run, with its report, the name of its sequence, the content of `config.json`, and its command."""
     steps, others = next_steps(report, notices)
     sections = _sections(record, report, settings, command)
-    return Page(title, _asked(report, settings), verdict(report, record), sections, others, steps)
+    return Page(title, _asked(report, settings), verdict(report, record, notices), sections, others, steps)
 
 
 def _asked(report: Mapping[str, Any], settings: Mapping[str, Any]) -> str:
     """The question of the page: images, model, odometry, and whether these are synthetic or simulated."""
     sequence = settings.get("sequence", {})
-    kind = "synthetic images" if str(sequence.get("image_source")).startswith("synthetic") else "images"
+    kind = "synthetic " if str(sequence.get("image_source")).startswith("synthetic") else ""
     model = settings.get("model", {}).get("name")
-    asked = f"{report['frames']} {kind} in {report['duration_s']:.0f} s, localized{f' by {model}' if model else ''}"
+    asked = (
+        f"{_images(report['frames'], kind)} in {report['duration_s']:.0f} s, localized{f' by {model}' if model else ''}"
+    )
     odometry = sequence.get("motion") or sequence.get("odometry", settings.get("odometry"))
     if odometry is None:
         return asked
@@ -51,8 +56,12 @@ def _asked(report: Mapping[str, Any], settings: Mapping[str, Any]) -> str:
     return f"{asked}. Odometry: {kind if kind.startswith('simulated') else odometry}"
 
 
-def verdict(report: Mapping[str, Any], record: RunRecord) -> str:
-    """The result of a run, in a sentence or two."""
+def _images(count: int, kind: str = "") -> str:
+    return f"{count} {kind}image{'s' * (count != 1)}"
+
+
+def verdict(report: Mapping[str, Any], record: RunRecord, notices: Sequence[str] = ()) -> str:
+    """The result of a run, in a sentence or two; by its notices, what it does not say."""
     if "filter" not in report:
         sure = [index for index, status in enumerate(record.status) if status == "converged"]
         found = "Never sure where it is"
@@ -60,13 +69,19 @@ def verdict(report: Mapping[str, Any], record: RunRecord) -> str:
             first_s = int(record.times_ns[sure[0]] - record.times_ns[0]) / 1e9
             found = f"Sure in {100 * len(sure) / len(record.status):.0f} % of the images, first after {first_s:.1f} s"
         return f"{found}. There are no true poses to compare with."
-    found, consistency = filter_sentence(report).removesuffix("."), report["consistency"]
-    if consistency["images"] == 0:
-        return f"{found}; never sure."
+    found = f"{filter_sentence(report).removesuffix('.')}; {_sureness(report['consistency'])}."
+    for trained in filter(None, (re.match(_TRAINED_ON, notice) for notice in notices)):
+        if int(trained[1]) >= _LARGE * int(trained[2]):
+            found += f" But {trained[0]}: expect larger errors in new images."
+    return found
+
+
+def _sureness(consistency: Mapping[str, Any]) -> str:
+    if (sure := consistency["images"]) == 0:
+        return "it called no image converged"
     if consistency["wrong"] == 0.0:
-        return f"{found}; never sure and wrong."
-    wrong = round(consistency["wrong"] * consistency["images"])
-    return f"{found}; sure and wrong in {wrong} of the {consistency['images']} images that it called converged."
+        return f"right in {'all' if sure > 1 else 'the'} {_images(sure)} that it called converged"
+    return f"wrong in {round(consistency['wrong'] * sure)} of the {_images(sure)} that it called converged"
 
 
 def filter_sentence(report: Mapping[str, Any]) -> str:
@@ -75,7 +90,7 @@ def filter_sentence(report: Mapping[str, Any]) -> str:
     off = f"{100 * metrics['median_translation_m']:.1f} cm and {metrics['median_rotation_deg']:.1f}° off in the median"
     if metrics["converged_at_s"] is None:
         part = 100 * metrics["recall"][RIGHT]
-        return f"It did not find the right place for good: {part:.0f} % of the images are right, {_WITHIN}."
+        return f"It did not find the place and keep it: {part:.0f} % of the images are right, {_WITHIN}."
     since = "the first image" if metrics["converged_at_s"] == 0.0 else f"{metrics['converged_at_s']:.1f} s"
     return f"Right from {since} on, {off}."
 
@@ -87,7 +102,7 @@ def _sections(record: RunRecord, report: Mapping[str, Any], settings: Mapping[st
         columns, rows = method_table(report)
         ours = [number for number, row in enumerate(rows) if row[0] == METHODS["filter"].label]
         caption = "Medians, and the fraction of images within both limits; no trajectory was aligned"
-        sections.append(section("Errors", [table(columns, rows, caption, ours)]))
+        sections.append(section("Errors", [table(columns, rows, caption, ours), *_restarts(record)]))
         over_time.append(errors)
     sections.append(section("Over time", [*over_time, belief_plot(record)]))
     if record.outline is not None:
@@ -109,6 +124,13 @@ def _sections(record: RunRecord, report: Mapping[str, Any], settings: Mapping[st
     blocks.append(folded("Settings", [code(json.dumps(rest, indent=2))]))
     sections.append(section("How it was made", blocks))
     return sections
+
+
+def _restarts(record: RunRecord) -> list[Block]:
+    if not record.restarts:
+        return []
+    times = "once" if record.restarts == 1 else f"{record.restarts} times"
+    return [paragraph(f"Dead reckoning starts again at the true pose {times}, where the odometry has gaps.")]
 
 
 def _landmarks(record: RunRecord, report: Mapping[str, Any]) -> list[Block]:

@@ -16,9 +16,10 @@ from filtering.storeys import Storeys, up_axis
 from vapor.checkpoints.checkpoint import ModelDescription
 from vapor.reporting.html.page import Block, Page, code, folded, paragraph, section, table
 from vapor.reporting.html.plans import Plans, dots, line
-from vapor.reporting.next_steps import MOST_STEPS, MOVE_ON
+from vapor.reporting.next_steps import DOUBTS_OF_PLACE, MOST_STEPS, MOVE_ON
 from vapor.reporting.outcome import STATES, Outcome, said_of_training, total
 from vapor.reporting.outline import Outline
+from vapor.reporting.report import is_placed
 
 _WORDS: Mapping[str, str] = {
     "right": "converged and right",
@@ -49,8 +50,8 @@ class Site:
 
 @dataclass(frozen=True)
 class Area:
-    """A square where it was mostly not sure, or wrong: its letter, plan, corner in units of the drawing, middle in the
-    map (metres).
+    """A part of a plan where it was mostly not sure, or wrong: its letter, plan, corner and size in units of the
+    drawing, middle in the map (metres).
 
     `state` is the most frequent one of such images, which are the fraction `failed`; `recordings` are the names of
     those that have any there.
@@ -58,7 +59,8 @@ class Area:
 
     letter: str
     plan: int
-    corner: tuple[int, int]
+    corner: tuple[float, float]
+    size: tuple[float, float]
     middle_m: Float64[np.ndarray, "3"]
     state: str
     failed: float
@@ -72,13 +74,15 @@ def summary_page(outcomes: Sequence[Outcome], site: Site, model: str, *, of: int
     sections: list[Block] = []
     steps: list[tuple[str, str]] = []
     if localized:
-        good = [positions for outcome in localized if len(positions := _positions(outcome, _GOOD))]
-        plans = Plans.of(site.outline, np.concatenate([np.empty((0, 3)), *good]), site.storeys, site.up)
-        areas = _areas(localized, plans)
+        plans = _plans(localized, site)
+        placed = [outcome for outcome in localized if is_placed(outcome.status)]
+        areas = _areas(placed, plans)
         sections.append(section("Where it was not sure, or wrong", _map(localized, plans, areas)))
         sections.append(section("Recordings, the worst first", _recordings(localized)))
-        of_areas = _of_areas(areas)
-        steps = [*of_areas, *(step for step in _of_runs(localized) if step[0] not in dict(of_areas))]
+        of_runs = _of_runs(localized)
+        doubted = [step for step in of_runs if step[0] in DOUBTS_OF_PLACE] if 2 * len(placed) <= len(localized) else []
+        first = [*doubted, *_of_areas(areas)]
+        steps = [*first, *(step for step in of_runs if step[0] not in dict(first))]
     if failed:
         rows = [(outcome.name, str(outcome.error)) for outcome in failed]
         sections.append(section("Not localized", [table(("recording", "reason"), rows, "Recordings", words=True)]))
@@ -87,6 +91,16 @@ def summary_page(outcomes: Sequence[Outcome], site: Site, model: str, *, of: int
     notices = [] if len(outcomes) == of else [f"{of - len(outcomes)} of {of} recordings are not done: the run ended."]
     title = f"{of} recording{'s' * (of != 1)}"
     return Page(title, f"Localized by {model}", _verdict(outcomes), sections, notices, steps[:MOST_STEPS])
+
+
+def _plans(outcomes: Sequence[Outcome], site: Site) -> Plans:
+    """Of the storeys where cameras were, as far as that is near the outline or a position that was found."""
+
+    def positions(states: Collection[str]) -> Float64[np.ndarray, "n 3"]:
+        return np.concatenate([_positions(outcome, states) for outcome in outcomes])
+
+    whole, of_all = Plans.of(site.outline, positions(_GOOD), site.storeys, site.up), positions(STATES)
+    return Plans.of(site.outline, of_all[whole.shows(of_all)], site.storeys, site.up)
 
 
 def _verdict(outcomes: Sequence[Outcome]) -> str:
@@ -99,7 +113,9 @@ def _verdict(outcomes: Sequence[Outcome]) -> str:
     wrong = sum(outcome.images * outcome.states.get("wrong", 0.0) for outcome in judged)
     sure = wrong + sum(outcome.images * outcome.states.get("right", 0.0) for outcome in judged)
     words = [f"{', '.join(parts)}.", *filter(None, [said_of_training(outcomes)])]
-    words += [f"Of {round(sure)} images that it called converged {round(wrong)} are wrong."] if sure else []
+    if sure:
+        images, are = f"{round(sure)} image{'s' * (round(sure) != 1)}", "is" if round(wrong) == 1 else "are"
+        words.append(f"It called {images} converged; {round(wrong)} of them {are} wrong.")
     return " ".join(words)
 
 
@@ -126,11 +142,10 @@ def _map(outcomes: Sequence[Outcome], plans: Plans, areas: Sequence[Area]) -> li
                     f"</title>{line(state, d)}</a>"
                 )
     for area in areas:
-        x, y = area.corner
-        side = round(_side(plans))
+        (x, y), (width, height) = area.corner, area.size
         marks[area.plan] += (
-            f'<rect class="area" x="{x}" y="{y}" width="{side}" height="{side}"/>'
-            f'<text class="area" x="{x + 6}" y="{y + side - 6}">{area.letter}</text>'
+            f'<rect class="area" x="{x:.0f}" y="{y:.0f}" width="{width:.0f}" height="{height:.0f}"/>'
+            f'<text class="area" x="{x + 6:.0f}" y="{y + height - 6:.0f}">{area.letter}</text>'
         )
     key = [(state, _WORDS[state]) for state in STATES if shown[state]]
     blocks = [plans.block(marks, key, "Where the cameras were", "group")] if marks else []
@@ -145,8 +160,9 @@ def _map(outcomes: Sequence[Outcome], plans: Plans, areas: Sequence[Area]) -> li
 
 
 def _areas(outcomes: Sequence[Outcome], plans: Plans) -> list[Area]:
-    """Squares, no two side by side, with half of the images and more not sure, or wrong, of two recordings and more."""
-    side_m = _side(plans) / plans.scale
+    """Cells, no two side by side, with half of the images and more not sure, or wrong, of two recordings and more."""
+    number = np.maximum(1, np.round(_CELLS * plans.size_m / plans.size_m.max())).astype(int)
+    side_m = plans.size_m / number
     images: dict[tuple[int, ...], dict[str, float]] = defaultdict(lambda: dict.fromkeys(STATES, 0.0))
     failing: dict[tuple[int, ...], dict[str, None]] = defaultdict(dict)
     for outcome in outcomes:
@@ -156,7 +172,7 @@ def _areas(outcomes: Sequence[Outcome], plans: Plans) -> list[Area]:
         for state in states:
             positions = _positions(outcome, [state])
             positions = positions[plans.shows(positions)]
-            cells = np.floor((plans.on_plan(positions) - plans.low_m) / side_m).astype(int)
+            cells = np.minimum(np.floor((plans.on_plan(positions) - plans.low_m) / side_m).astype(int), number - 1)
             for cell in np.column_stack([plans.storey(positions), cells]).tolist():
                 images[*cell][state] += weight
                 if state not in _GOOD:
@@ -174,15 +190,11 @@ def _areas(outcomes: Sequence[Outcome], plans: Plans) -> list[Area]:
         if beside or len(areas) == _MOST_AREAS:
             continue
         taken.append(cell)
-        letter, corner = chr(ord("A") + len(areas)), np.round(np.multiply(cell[1:], _side(plans))).astype(int)
+        letter, (width, height) = chr(ord("A") + len(areas)), (plans.scale * side_m).tolist()
+        corner = (cell[1] * width, cell[2] * height)
         middle_m = plans.in_map(plans.low_m + side_m * (np.array(cell[1:]) + 0.5))
-        areas.append(Area(letter, cell[0], tuple(corner.tolist()), middle_m, state, part, tuple(failing[cell])))
+        areas.append(Area(letter, cell[0], corner, (width, height), middle_m, state, part, tuple(failing[cell])))
     return areas
-
-
-def _side(plans: Plans) -> float:
-    """Of an area, in units of the drawing."""
-    return plans.scale * float(plans.size_m.max()) / _CELLS
 
 
 def _area_table(areas: Sequence[Area], plans: Plans) -> list[Block]:

@@ -7,12 +7,14 @@ import cv2
 import numpy as np
 import pytest
 
+from filtering.se3 import Poses
 from filtering.storeys import Storeys
 from tests.helpers.pages import ReadPage
-from tests.helpers.simulated_run import simulated_record
+from tests.helpers.simulated_run import simulated_record, simulated_steps
+from vapor.pipeline.trained_images import said_of_trained_images
 from vapor.reporting.calibration import format_calibration
 from vapor.reporting.html.run_page import run_page, verdict
-from vapor.reporting.record import Moment
+from vapor.reporting.record import Moment, RunRecorder
 from vapor.reporting.report import build_report
 
 SETTINGS = {"model": {"name": "stairs"}, "versions": {"numpy": "2.4"}, "run": {"seed": 3}}
@@ -101,12 +103,24 @@ def test_every_image_of_a_short_run_is_a_moment_that_can_be_looked_at(record):
     assert moment["status"] == record.status[70]
     assert len(moment["weights"]) == len(moment["modes"][0]) == record.num_modes[70]
     best = record.methods["filter"].poses.translation[70]
+    assert moment["belief"] == "1 mode"
     assert np.allclose(np.array(moment["modes"])[:, 0], 1000 * best, atol=1.0)
     centre = np.array(moment["camera"])[:, 3]  # the line along the pyramid passes through it
     assert np.allclose(centre, 1000 * best, atol=1.0)
     particles = np.array(moment["particles"])
     assert particles.shape == (3, 60)
     assert max(moment["of"]) < len(moment["weights"])
+
+
+def test_where_the_best_mode_is_not_the_heaviest_both_are_said(record):
+    def said(*weights: float) -> str:
+        moment = replace(record.moments[0], modes=np.zeros((len(weights), 3), np.float32), weights=np.array(weights))
+        return read(replace(record, moments=(moment,))).data["run"]["moments"][0]["belief"]
+
+    assert said(0.28, 0.38, 0.2) == "3 modes, best 28 %, heaviest 38 %"
+    assert said(0.6, 0.3) == "2 modes, best 60 %"
+    assert said(0.281, 0.284, 0.2) == "3 modes, best 28 %"
+    assert "it stays the best until another is clearly heavier" in read(record).words
 
 
 def test_beside_a_moment_is_its_own_image_at_most_200_pixels_wide(record):
@@ -141,13 +155,47 @@ def test_the_verdict_says_what_happened(record):
     report = build_report(record)
     right = report["filter"]["converged_at_s"]
     assert verdict(report, record).startswith(f"Right from {right:.1f} s on, ")
-    assert verdict(report, record).endswith("never sure and wrong.")
+    sure = report["consistency"]["images"]
+    assert verdict(report, record).endswith(f"; right in all {sure} images that it called converged.")
     lost = {**report["filter"], "converged_at_s": None}
-    assert verdict({**report, "filter": lost}, record).startswith("It did not find the right place for good: ")
-    consistency = {**report["consistency"], "wrong": 0.1, "images": 50}
-    assert "sure and wrong in 5 of the 50 images" in verdict({**report, "consistency": consistency}, record)
-    consistency = {"images": 0, "wrong": None, "coverage": None, "median_nees": None}
-    assert verdict({**report, "consistency": consistency}, record).endswith("; never sure.")
+    assert verdict({**report, "filter": lost}, record).startswith("It did not find the place and keep it: ")
+
+    def said(**consistency) -> str:
+        return verdict({**report, "consistency": {**report["consistency"], **consistency}}, record).split("; ")[1]
+
+    assert said(wrong=0.1, images=50) == "wrong in 5 of the 50 images that it called converged."
+    assert said(wrong=1.0, images=1) == "wrong in 1 of the 1 image that it called converged."
+    assert said(wrong=0.0, images=1) == "right in the 1 image that it called converged."
+    assert said(wrong=None, images=0) == "it called no image converged."
+
+
+def test_the_verdict_says_so_where_many_images_were_trained_on(record):
+    report = build_report(record)
+
+    def said(count: int) -> str:
+        new = Poses(np.tile(np.eye(3), (150, 1, 1)), np.arange(450.0).reshape(150, 3))
+        notice = said_of_trained_images(list(new), new[:count])
+        return run_page(record, report, title="walk.mcap", settings=SETTINGS, notices=["mind the step", notice]).verdict
+
+    assert said(29) == verdict(report, record)
+    assert said(30) == (
+        f"{verdict(report, record)} But 30 of 150 images were trained on: expect larger errors in new images."
+    )
+
+
+def test_one_image_is_not_several(record):
+    report = build_report(record) | {"frames": 1}
+    assert run_page(record, report, title="walk.mcap", settings={}).asked.startswith("1 image in ")
+
+
+def test_it_says_how_often_dead_reckoning_was_put_on_the_true_path_again(record):
+    assert "Dead reckoning starts again" not in read(record).words
+    gaps = (20, 60, 61)
+    recorder = RunRecorder()
+    for number, (frame, step) in enumerate(simulated_steps(90)):
+        recorder.add(replace(frame, odometry=None) if number in gaps else frame, step)
+    words = read(recorder.finish()).words
+    assert "Dead reckoning starts again at the true pose 3 times, where the odometry has gaps." in words
 
 
 def test_without_true_poses_it_says_so_and_how_sure_it_was():

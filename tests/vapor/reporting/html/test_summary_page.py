@@ -12,31 +12,35 @@ from tests.helpers.pages import ReadPage
 from vapor.commands.run import show_outcomes
 from vapor.reporting.html.page import write_page
 from vapor.reporting.html.summary_page import Site, summary_page
+from vapor.reporting.next_steps import DOUBTS_OF_PLACE
 from vapor.reporting.outcome import Outcome, Visited
 from vapor.reporting.outline import Outline
 
 CORNERS = [[x, y, z] for x in (0.0, 20.0) for y in (0.0, 10.0) for z in (1.6, 4.6)]
 SITE = Site(Outline(np.array(CORNERS * 100, np.float32), "landmarks"), Storeys((1.6, 4.6)), np.array([0.0, 0.0, 1.0]))
 ADVICE = ("Look at the wheels.", "They slip.")
+KNOWN = (4.0, 3.0, 1.6)
+DOUBT = next(action for action in DOUBTS_OF_PLACE if action.startswith("Check that the model is of this place."))
 
 
-def outcome(name: str, states: dict[str, int], at: tuple[float, float, float], **others) -> Outcome:
-    """So many images in each state, all at one place."""
-    count = sum(states.values())
-    each = tuple(state for state, number in states.items() for _ in range(number))
-    visited = Visited((at,) * count, each, are_true=True)
-    status = {"converged": sum(states.get(state, 0) for state in ("right", "converged", "wrong")) / count}
-    fractions = {state: number / count for state, number in states.items()}
+def outcome(name: str, states: dict[str, int], at: tuple[float, float, float], *, well: int = 0, **others) -> Outcome:
+    """So many images in each state, all at one place, and so many that are right at a known one."""
+    count = well + sum(states.values())
+    each = tuple(state for state, number in states.items() for _ in range(number)) + ("right",) * well
+    visited = Visited((at,) * (count - well) + (KNOWN,) * well, each, are_true=True)
+    fractions = {state: each.count(state) / count for state in dict.fromkeys(each)}
+    sure = sum(fractions.get(state, 0.0) for state in ("right", "converged", "wrong"))
+    status = {"converged": sure, "lost": fractions.get("lost", 0.0)}
     given = {"success": not {"lost", "wrong"} & set(states), "median_translation_m": 0.1, "median_rotation_deg": 1.0}
     given |= {"images": count, "status": status, "states": fractions, "final_status": "converged", "visited": visited}
     return Outcome(name, f"{name}.mcap", **{**given, **others})
 
 
 FLEET = [
-    outcome("fine", {"right": 10}, (4.0, 3.0, 1.6)),
-    outcome("gone", {"lost": 10}, (15.0, 8.0, 4.6), steps=(ADVICE,)),
-    outcome("gone-too", {"lost": 9, "right": 1}, (15.1, 8.1, 4.6), steps=(ADVICE,)),
-    outcome("sure", {"wrong": 10}, (4.0, 3.0, 1.6)),
+    outcome("fine", {"right": 10}, KNOWN),
+    outcome("gone", {"lost": 10}, (15.0, 8.0, 4.6), well=12, steps=(ADVICE,)),
+    outcome("gone-too", {"lost": 9, "right": 1}, (15.1, 8.1, 4.6), well=12, steps=(ADVICE,)),
+    outcome("sure", {"wrong": 10}, KNOWN),
     outcome("elsewhere", {"lost": 10}, (900.0, 3.0, 1.6)),
     Outcome("cut", "cut.mcap", error="cut.mcap: truncated <here>"),
 ]
@@ -53,9 +57,11 @@ def rows_of(page: str) -> list[str]:
 def test_the_verdict_counts_what_went_well_what_did_not_and_what_was_not_localized():
     words = ReadPage.of(page_of(FLEET)).words
     assert "1 of 6 recordings went well, 4 did not, 1 could not be localized at all." in words
-    assert "Of 21 images that it called converged 10 are wrong." in words
+    assert "It called 45 images converged; 10 of them are wrong." in words
     assert "cut.mcap: truncated <here>" in words
     assert "are not done" not in words
+    words = ReadPage.of(page_of([outcome("short", {"wrong": 1}, KNOWN)])).words
+    assert "It called 1 image converged; 1 of them is wrong." in words
 
 
 def test_recordings_with_images_of_the_training_are_named_on_the_page_and_in_the_last_lines(tmp_path, capsys):
@@ -76,7 +82,7 @@ def test_recordings_with_images_of_the_training_are_named_on_the_page_and_in_the
 
 def test_recordings_are_listed_from_the_worst_and_lead_to_their_reports():
     page = page_of(FLEET)
-    assert rows_of(page) == ["sure", "gone", "elsewhere", "gone-too", "fine"]
+    assert rows_of(page) == ["sure", "elsewhere", "gone", "gone-too", "fine"]
     assert 'href="gone-too/report.html"' in page
     odd = page_of([replace(FLEET[0], name='a "b"#1')])
     assert 'href="a%20%22b%22%231/report.html"' in odd
@@ -133,6 +139,62 @@ def test_where_several_recordings_failed_is_an_area_to_record_again():
     assert "A (2 recordings)" in words
 
 
+def lost_elsewhere(number: int, *, at: tuple[float, float, float] = (15.0, 8.0, 4.6)) -> Outcome:
+    return outcome(f"elsewhere-{number}", {"lost": 10}, at, steps=((DOUBT, "It looks unlike."), ADVICE))
+
+
+def steps_of(outcomes) -> list[str]:
+    page = summary_page(outcomes, SITE, "place.safetensors", of=len(outcomes))
+    return [action for action, _ in page.steps]
+
+
+def test_of_another_place_it_is_asked_first_whether_the_model_is_of_it_and_nothing_about_its_parts():
+    outcomes = [lost_elsewhere(0), lost_elsewhere(1), replace(FLEET[3], steps=(ADVICE,))]
+    assert steps_of(outcomes) == [DOUBT, ADVICE[0]]
+    assert "A" not in ReadPage.of(page_of(outcomes)).cells
+    well = [outcome(f"fine-{number}", {"right": 10}, KNOWN, steps=(ADVICE,)) for number in range(3)]
+    assert steps_of([lost_elsewhere(0), *well]) == [ADVICE[0], DOUBT]  # one of them is elsewhere
+    assert steps_of([*FLEET[:3], lost_elsewhere(0)])[0].startswith("Record these parts of the place again")
+
+
+def drawn(page: str) -> list[tuple[np.ndarray, dict[str, np.ndarray], np.ndarray]]:
+    """Of each plan its edges (low, high), the points of lines by class, and corners of areas, in its own units."""
+    found = []
+    for plan in re.findall(r"<svg.*?</svg>", page):
+        (view,) = re.findall(r'viewBox="([^"]*)"', plan)
+        x, y, width, height = map(float, view.split())
+        lines = re.findall(r'<path class="(\w+)" d="([^"]*)"', plan)
+        points = {name: np.array(re.findall(r"M(-?\d+) (-?\d+)", d), float) for name, d in lines}
+        boxes = re.findall(r'<rect class="area" x="(\d+)" y="(\d+)" width="(\d+)" height="(\d+)"', plan)
+        corners = [
+            corner for a, b, w, h in np.array(boxes, float).reshape(-1, 4) for corner in ((a, b), (a + w, b + h))
+        ]
+        found.append((np.array([(x, y), (x + width, y + height)]), points, np.reshape(corners, (-1, 2))))
+    return found
+
+
+def test_what_is_drawn_is_within_the_plan_with_the_scale_below_it():
+    edge = (19.9, -0.35, 4.6)  # just outside of the outline
+    outcomes = [FLEET[0], *(outcome(f"at-edge-{number}", {"lost": 10}, edge, well=12) for number in range(2))]
+    plans = drawn(page_of(outcomes))
+    assert len(plans) == 2
+    for (low, high), points, corners in plans:
+        bar = points.pop("bar")
+        at = np.concatenate([*points.values(), corners])
+        assert (at >= low + 10).all()
+        assert (at <= high - 10).all()
+        assert at[:, 1].max() + 10 <= bar[:, 1].min() < high[1]
+    assert len(plans[1][2]) == 2
+
+
+def test_a_plan_is_of_the_storeys_that_are_shown():
+    small = [[x, y, 1.6] for x in (2.0, 6.0) for y in (2.0, 4.0)]
+    site = replace(SITE, outline=Outline(np.array([*CORNERS[1::2], *small] * 100, np.float32), "landmarks"))
+    for outcomes in ([FLEET[0]], [outcome("lost", {"lost": 10}, KNOWN)]):
+        ((edges, points, _),) = drawn(page_of(outcomes, site))
+        assert np.ptp(points["points"], axis=0)[0] > 0.85 * np.ptp(edges, axis=0)[0]
+
+
 def test_the_actions_that_most_runs_ask_for_come_first():
     words = ReadPage.of(page_of(FLEET)).words
     assert "Look at the wheels. 2 of 5 recordings ask for it; gone: They slip." in words
@@ -154,7 +216,7 @@ def test_without_true_poses_the_status_at_the_end_decides_and_lost_positions_are
     ]
     words = ReadPage.of(page_of(blind)).words
     assert "1 of 3 recordings went well, 2 did not." in words
-    assert "called converged" not in words
+    assert "It called" not in words
     assert "There are no true poses to compare with." in words
     assert "estimated positions, which are guesses where it is lost" in words
     assert "Record these parts" not in words
