@@ -76,7 +76,8 @@ class VisualSequence(ChangedSequence):
         """Those of the other sequence, and where the motion was unknown or disputed."""
         notices, visual = [*self._frames.notices], self._visual
         if visual.num_unknown:
-            notices.append(f"before {visual.num_unknown} images the images do not say how the camera moved")
+            count = visual.num_unknown
+            notices.append(f"before {count} image{'s' * (count != 1)} the images do not say how the camera moved")
         return [*notices, *visual.disagreement]
 
     def __iter__(self) -> Iterator[Frame]:

@@ -284,7 +284,7 @@ def _with_inertial(frames: FrameSource, reading: SequenceOptions, *, usual_up: U
 def _motion(frames: FrameSource, config: RunConfig) -> str:
     """What stands in for recorded odometry, for users; empty where that is used."""
     if frames.odometry_origin == "visual":
-        return "made from the images, in a unit that the filter finds and dead reckoning does not"
+        return "made from the images; their scale is unknown, and only the filter estimates it"
     if frames.odometry_origin is not None:
         return ""
     unknown = ", as the intrinsics are unknown" if config.odometry == "auto" else ""

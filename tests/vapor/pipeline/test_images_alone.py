@@ -27,7 +27,7 @@ from vapor.pipeline.batch import find_sequences
 from vapor.pipeline.config import RunConfig
 from vapor.track import main
 
-SAID = "odometry   made from the images, in a unit that the filter finds"
+SAID = "odometry   made from the images; their scale is unknown, and only the filter estimates it"
 
 
 def run(sequence: Path, model: Path, output: Path, *words: str) -> int:
