@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import UInt8
 
-from filtering.errors import VaporTrackError
+from filtering.errors import VaporTrackError, counted
 from filtering.se3 import Poses
 from sequences.datasets.layout import PosedImages
 from sequences.datasets.layout_helpers.image_files import decoded_file, find_camera, images_in, size_of_first
@@ -221,12 +221,12 @@ class ImageSequence:
             )
         if num_unlike:
             self.notices.append(
-                f"{num_unlike} images are of another aspect ratio than the first: their intrinsics are unknown"
+                f"intrinsics of {counted(num_unlike, 'image')} of another aspect ratio than the first are unknown"
             )
         if whole and self.counts.read < _READABLE * self.num_images:
             self.notices.append(
-                f"the video states {self.num_images} frames, and {self.counts.read} could be read: it is damaged or cut"
-                " off"
+                f"the video states {counted(self.num_images, 'frame')}, and {self.counts.read} could be read: it is"
+                " damaged or cut off"
             )
 
     def _undistorted(self, image: _Image, lens: Camera | Lens | None) -> tuple[_Image, Camera | None]:

@@ -70,7 +70,9 @@ class Roles:
                 mount = self._find_odometry(mount)
             except SequenceError as error:
                 if self.odometry_required and not (odometry == "auto" and isinstance(error, NoOdometryError)):
-                    raise
+                    if odometry == "required":
+                        raise
+                    raise type(error)(f"{error}; --odometry visual makes odometry from the images instead") from error
                 if odometry == "auto":
                     self.no_odometry = (
                         f"no topic is of type {ODOMETRY_TYPE}, and in tf {self.camera_frame or 'the camera'} does not"

@@ -156,7 +156,7 @@ def test_images_of_another_aspect_ratio_are_counted(tmp_path):
     cv2.imwrite(str(folder / "2.png"), pictures(1)[0, :, :50])
     sequence = ImageSequence(folder)
     assert [frame.camera is None for frame in sequence] == [False, True, False]
-    assert any("1 images are of another aspect ratio" in notice for notice in sequence.notices)
+    assert any("intrinsics of 1 image of another aspect ratio" in notice for notice in sequence.notices)
 
 
 def test_distortion_is_taken_out_unless_that_is_left_alone(clip):
