@@ -48,7 +48,7 @@ class Options:
     """Name of a model that ships with the package, or model file."""
     output: OutputPath
     """Directory for the results, new or with earlier ones; of several sequences it gets a folder each, and
-    summary.html and summary.json on all of them. One with results of one sequence takes no several, nor vice versa."""
+    summary.html and summary.json on all of them. Results of one sequence and of several share no directory."""
     overwrite: Overwrite = False
     workers: int = 1
     """Sequences at a time, each in a process of its own."""
