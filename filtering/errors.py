@@ -11,6 +11,7 @@ MAX_MESSAGE = 1000
 """Characters of a message, at most."""
 _LONG_MESSAGE = 300  # characters beyond which long words and paths lose some; all else stays whole
 _MAX_QUOTED = 60
+_MAX_NAME = 255  # characters of the name of a file
 _COMMAND = r"`vapor-track [^`]*`\S*"  # to be copied: it stays whole
 _LONG_PATH, _PATH_END = re.compile(rf"({_COMMAND})|/[^\s'\"]{{50,}}"), 40  # the end of a path matters most
 _MAX_BITS = 256  # of an integer that is written out: beyond some thousand digits Python refuses to
@@ -49,22 +50,33 @@ def shortened(message: str, length: int = MAX_MESSAGE) -> str:
             break
         if word in kept:
             continue
-        words[index] = _without_middle(word, max(len(word) - excess, _MAX_QUOTED))
+        words[index] = _without_middle(word, max(len(word) - excess, _MAX_QUOTED, len("...") + len(_name(word))))
         excess -= len(word) - len(words[index])
     return _without_middle(" ".join(words), length)
 
 
 def _end_of(path: str) -> str:
-    """Name and last folders of a path, as many as fit; the name alone is whole, however long."""
-    end = len(path.rstrip("/:;,"))
-    begin = path.find("/", len(path) - _PATH_END, end)
-    return f"...{path[begin if begin >= 0 else path.rindex('/', 0, end) :]}"
+    """Name and last folders of a path, as many as fit; a long name alone."""
+    begin = path.find("/", len(path) - _PATH_END, _end(path))
+    begin = begin if begin >= 0 else path.rfind("/", 0, _end(path))
+    return f"...{path[begin:]}" if begin > len("...") else path
+
+
+def _name(word: str) -> str:
+    """The name at the end of a path, with what is around it; nothing if that is no path, or no name of a file."""
+    begin = word.rfind("/", 0, _end(word))
+    return word[begin:] if begin >= 0 and _end(word) - begin - 1 <= _MAX_NAME else ""
+
+
+def _end(path: str) -> int:
+    return len(path.rstrip("/:;,'\""))
 
 
 def _without_middle(text: str, length: int) -> str:
     if len(text) <= length:
         return text
-    end = (length - 1) // 3
+    name = _name(text) if " " not in text else ""
+    end = max((length - 1) // 3, len(name) if len(name) < length else 0)
     before, after = text[: length - 1 - end], text[len(text) - end :]
     if " " not in text:  # names in a path stay whole
         before, after = before[: before.rfind("/", 1) + 1] or before, after[max(after.find("/"), 0) :]

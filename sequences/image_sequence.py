@@ -17,7 +17,7 @@ from filtering.se3 import Poses
 from sequences.datasets.layout import PosedImages
 from sequences.datasets.layout_helpers.image_files import decoded_file, find_camera, images_in, size_of_first
 from sequences.datasets.layout_helpers.packed import VIDEO_SUFFIXES, VideoFile
-from sequences.datasets.listing import clipped, found_images, is_data_set, is_recording
+from sequences.datasets.listing import clipped, found_images, is_recording, list_images, none_among, what_is_there
 from sequences.errors import SequenceError
 from sequences.files import Rows
 from sequences.frame import ASSUMED_HZ, Camera, Frame
@@ -46,14 +46,11 @@ class _Dated(NamedTuple):
 
 
 def is_image_sequence(path: Path) -> bool:
-    """Whether a path is a video file by its name, a data set, or a folder with images and without a recording in it.
-
-    Raises SequenceError where a file of a data set is missing or damaged.
-    """
+    """Whether a path is a video file by its name, a list or archive of a data set, or a folder without a recording."""
     if not path.is_dir():
         return path.suffix.lower() in VIDEO_SUFFIXES or (path.is_file() and not is_recording(path))
     recorded = (path / "metadata.yaml").is_file() or any(file.suffix.lower() in SUFFIXES for file in path.iterdir())
-    return not recorded and (bool(images_in(path)) or is_data_set(path))
+    return not recorded
 
 
 class ImageSequence:
@@ -109,11 +106,11 @@ class ImageSequence:
             frames: Which of the images, counted from 0; neither from the end nor in steps.
 
         Raises:
-            SequenceError: no such video or images, a damaged data set or one of several sequences, a damaged
+            SequenceError: no such video, images or list, a damaged data set or one of several sequences, a damaged
                 `intrinsics.json`, one of another aspect ratio, or options that do not apply.
         """
         self.path, self._options, self._rate_hz = Path(path), options or SequenceOptions(), rate_hz
-        self._first, self._stop = frames.start or 0, np.inf if frames.stop is None else frames.stop
+        self._part = frames
         _require_applicable(self.path, self._options)
         if not _RATES_HZ[0] <= rate_hz <= _RATES_HZ[1]:
             raise VaporTrackError(f"rate_hz is {rate_hz}, expected between {_RATES_HZ[0]:g} and {_RATES_HZ[1]:g}")
@@ -126,7 +123,7 @@ class ImageSequence:
             self.has_stamps, self.num_images = self._posed.assumed_hz is None, len(self._posed)
         elif self.path.is_dir():
             if not self._files:
-                raise SequenceError(f"{path}: no images, expected PNG or JPEG files in the folder")
+                raise SequenceError(f"{path}: {what_is_there(self.path, images=True)}")
             lens = self._find_lens(self.path, size_of_first(self._files))
             self.num_images = len(self._files)
         else:
@@ -170,13 +167,14 @@ class ImageSequence:
         options = self._options
         self.counts = counts = ImageCounts(0)
         self.notices = []
+        first, stop = self._part.start or 0, np.inf if self._part.stop is None else self._part.stop
         segment: RequestedSegment | None = None
         latest_ns: int | None = None
         num_unlike = 0
         for time_ns, decode, lens, pose in self._dated():
             counts.read += 1
             counts.stated += 1
-            if counts.read <= self._first:
+            if counts.read <= first:
                 counts.skipped[OUTSIDE] += 1
                 continue
             segment = segment or RequestedSegment(time_ns, options.start_s, options.duration_s)
@@ -184,7 +182,7 @@ class ImageSequence:
                 counts.skipped[NOT_INCREASING] += 1
                 continue
             latest_ns = time_ns
-            if segment.ends_before(time_ns) or counts.read > self._stop:
+            if segment.ends_before(time_ns) or counts.read > stop:
                 counts.skipped[OUTSIDE] += 1
                 segment.is_stopped = True
                 break
@@ -202,14 +200,15 @@ class ImageSequence:
         counts.skipped[OUTSIDE] += (unread := max(self.num_images - counts.stated, 0) if _stopped(segment) else 0)
         counts.stated += unread
         counts.skipped = +counts.skipped
+        if segment is None and counts.read:
+            raise SequenceError(f"{self.path}: {none_among(self._part, counts.read, posed=self._posed is not None)}")
         if not counts.used:
             found = ", ".join(f"{count} × {reason}" for reason, count in counts.skipped.items()) or "none was read"
             late = None if segment is None or latest_ns is None else segment.begins_after(latest_ns)
             expected = late or "expected at least one that can be used"
             raise SequenceError(f"{self.path}: no image is left: {found}; {expected}")
-        if not _stopped(segment) and self._stop not in (np.inf, counts.read):
-            fewer = clipped(slice(self._first, int(self._stop)), counts.read)
-            self.notices += [] if fewer is None else [fewer]
+        if not _stopped(segment) and (fewer := clipped(self._part, counts.read)) is not None:
+            self.notices.append(fewer)
         self._judge(num_unlike, whole=not _stopped(segment))
 
     def _judge(self, num_unlike: int, *, whole: bool) -> None:
@@ -273,10 +272,10 @@ class ImageSequence:
 
 
 def _data_set(path: Path) -> PosedImages | None:
-    """The images of a data set of one sequence; None of videos, and of images without true poses."""
-    if path.suffix.lower() in VIDEO_SUFFIXES and path.is_file():
+    """The images of a data set of one sequence; None of videos, and of images without true poses in a folder."""
+    if path.suffix.lower() in VIDEO_SUFFIXES and not path.is_dir():
         return None
-    posed = found_images(path)
+    posed = found_images(path) if path.is_dir() else list_images(path)
     if posed is None or not len(posed):
         return None
     if posed.has_several:

@@ -123,7 +123,8 @@ class SequenceReader:
     def unused_odometry(self) -> dict[str, int]:
         """Topics of odometry that is recorded and cannot be used, with the number of their messages."""
         topics = [] if self.base_from_camera is not None else self._bag.topics.values()
-        return {each.name: each.num_messages for each in topics if each.type == ODOMETRY_TYPE and each.num_messages}
+        odometry = [each for each in topics if each.type == ODOMETRY_TYPE and each.num_messages]
+        return {each.name: each.num_messages for each in odometry if each.name != self._options.ground_truth_topic}
 
     def cameras(self) -> Counter[Camera]:
         """How many images are of which camera, undistorted, whether used or not; of known cameras."""

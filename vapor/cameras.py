@@ -15,7 +15,7 @@ from vapor.images import cover_size
 
 _SAME_PX = 0.5  # of the images that a network sees: too little for a network to notice
 _LEAST_FRACTION = 0.8  # of the view, below which there is a notice
-_ALLOWANCE = 1.5  # of the OOD score, for an image of which nothing is seen: parts need 0.5 to 1.5 times theirs
+_ALLOWANCE = 1.5  # of the OOD score, for an image of which nothing is seen: parts need 0.5 to 1.6 times theirs
 
 
 class AsTakenBy:

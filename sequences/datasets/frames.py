@@ -27,7 +27,8 @@ class PosedFrames(Iterator[Frame]):
     Attributes:
         skipped: Images and poses of the data that were left out, by reason; complete once all frames were yielded.
         notices: Remarks on the true poses, likewise.
-        camera_names: Names of the cameras of a recording, once its first frame was yielded; empty of a data set.
+        camera_names: Names of the cameras of a recording, once its first frame was yielded or its cameras were asked
+            for; empty of a data set.
     """
 
     def __init__(
@@ -65,7 +66,6 @@ class PosedFrames(Iterator[Frame]):
         """Frames of a recording; without odometry where the frame before was left out."""
         reader = self._open()
         assert isinstance(reader, SequenceReader)
-        self.camera_names = reader.camera_names
         if len(self.camera_names) == 1:
             yield from self._of_camera(reader)
             return
@@ -135,6 +135,7 @@ class PosedFrames(Iterator[Frame]):
     def _open(self) -> SequenceReader | PosedImages:
         if self._source is None and is_recording(self._path):
             self._source = self._reader()
+            self.camera_names = self._source.camera_names
         elif self._source is None:
             self._source = list_images(self._path)
         return self._source

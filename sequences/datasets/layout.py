@@ -154,6 +154,7 @@ class Layout:
             SequenceError where a file is missing or damaged.
         list_suffixes: Of files by which it lists what lies beside them, which are given in place of a folder.
         archive_suffixes: Of files that hold all, likewise.
+        video: Name of the video whose images have the poses, where it has one.
         splits: Names of folders and lists in a data set, proposed where the data set itself is given.
     """
 
@@ -163,4 +164,5 @@ class Layout:
     list_images: Callable[[Path], PosedImages | None]
     list_suffixes: tuple[str, ...] = ()
     archive_suffixes: tuple[str, ...] = ()
+    video: str = ""
     splits: tuple[str, ...] = ()

@@ -44,7 +44,7 @@ def list_images(path: Path) -> PosedImages:
     path = Path(path)
     images = found_images(path)
     if images is None:
-        raise SequenceError(f"{path}: {_what_is_there(path)}")
+        raise SequenceError(f"{path}: {what_is_there(path)}")
     if not len(images):
         raise SequenceError(f"{path}: no image with a true pose: {dict(images.skipped)}; expected at least one")
     return images
@@ -56,20 +56,21 @@ def as_typed(frames: slice) -> str:
     return ":".join("" if bound is None else str(bound) for bound in bounds)
 
 
-def none_among(frames: slice, count: int | None) -> str:
-    """That no image has such a number, and which numbers there are, of `count` with a true pose; None if unknown."""
+def none_among(frames: slice, count: int | None, *, posed: bool = True) -> str:
+    """That no image has such a number, and which numbers there are, of `count` in all; None if unknown.
+
+    `posed`: only images with a true pose are counted.
+    """
     there = f": there are {count}, numbered 0 to {count - 1}" if count else ", expected at least one"
-    return f"no image with a true pose in frames {as_typed(frames)}{there}"
+    return f"no image{' with a true pose' * posed} in frames {as_typed(frames)}{there}"
 
 
 def clipped(frames: slice, count: int) -> str | None:
     """That fewer images were found than were asked for, of `count` in all; None where all are there."""
     if frames.stop is None or frames.stop <= count or count <= (first := frames.start or 0):
         return None
-    return (
-        f"images {as_typed(frames)} were asked for, and there are {count}, numbered 0 to {count - 1}: {first} to"
-        f" {count - 1} were taken"
-    )
+    taken = f"{first} to {count - 1} were" if first < count - 1 else f"{first} was"
+    return f"images {as_typed(frames)} were asked for, and there are {count}, numbered 0 to {count - 1}: {taken} taken"
 
 
 def is_data_set(path: Path) -> bool:
@@ -90,7 +91,7 @@ def is_list(path: Path) -> bool:
 def files_read(path: Path) -> Iterator[Path]:
     """Files and folders that a recording or data set is read from, for outputs: they must be none of these.
 
-    For a data set: its folder or the folder of the list, images that lie elsewhere, and `intrinsics.json` above it.
+    For a data set: its folder or the folder of the list, its images and their folders, and `intrinsics.json` above it.
     Where it cannot be read: as far as known.
     """
     path = Path(path)
@@ -101,16 +102,19 @@ def files_read(path: Path) -> Iterator[Path]:
     yield folder
     yield from (above / "intrinsics.json" for above in folder.absolute().parents[:INTRINSICS_LEVELS])
     with suppress(SequenceError):
-        yield from (image.path if isinstance(image, PackedImage) else image for image in list_images(path).files)
+        files = list_images(path).files
+        yield from dict.fromkeys(file.path if isinstance(file, PackedImage) else file for file in files)
+        yield from {file.parent for file in files if not isinstance(file, PackedImage)}
 
 
 def require_recording(path: Path) -> None:
     """Raise SequenceError where a folder is no rosbag2 folder; the message has what was looked for beside images."""
     if path.is_dir() and not is_recording(path):
-        raise SequenceError(f"{path}: {_what_is_there(path, 'a video, PNG or JPEG images, ')}")
+        raise SequenceError(f"{path}: {what_is_there(path, images=True)}")
 
 
-def _what_is_there(path: Path, beside: str = "") -> str:
+def what_is_there(path: Path, *, images: bool = False) -> str:
+    """What a path has that can be neither trained on nor, where images alone would do, localized: part of an error."""
     no_poses = f"images without true poses (`vapor-track map {shlex.quote(str(path))} --output place/` makes them)"
     if _is_video(path):
         return no_poses
@@ -128,7 +132,7 @@ def _what_is_there(path: Path, beside: str = "") -> str:
         reindexed = " (where they are pieces of one recording, `ros2 bag reindex` writes its metadata.yaml)" * pieces
         return f"{found} itself; expected what is in it: {listed((each.name for each in inside), _NAMED)}{reindexed}"
     looked_for = (
-        f"looked for {beside}{', '.join(SUFFIXES)}, metadata.yaml,"
+        f"looked for {'a video, PNG or JPEG images, ' * images}{', '.join(SUFFIXES)}, metadata.yaml,"
         f" {', '.join(layout.looked_for for layout in find_layouts())}"
     )
     if not images_in(path):

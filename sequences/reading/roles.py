@@ -27,6 +27,7 @@ from sequences.recordings.source import (
     choose,
     decode,
     first,
+    other_than,
     several_robots,
 )
 
@@ -74,9 +75,10 @@ class Roles:
                         raise
                     raise type(error)(f"{error}; --odometry visual makes odometry from the images instead") from error
                 if odometry == "auto":
+                    other = other_than(bag, options.ground_truth_topic, (ODOMETRY_TYPE,))
                     self.no_odometry = (
-                        f"no topic is of type {ODOMETRY_TYPE}, and in tf {self.camera_frame or 'the camera'} does not"
-                        f" move in a frame odom{several_robots(bag)}"
+                        f"no{other} topic is of type {ODOMETRY_TYPE}, and in tf {self.camera_frame or 'the camera'}"
+                        f" does not move in a frame odom{several_robots(bag)}"
                     )
                 self.odometry_required = False
                 self.odometry = self.tree_odometry = self.extrinsics = None

@@ -209,8 +209,8 @@ def choose(
         if not candidates:
             without = ", so no images;" if role == "image" else ","
             raise NotFoundError(
-                f"{bag.path}: no {role} topic{without} expected one of type {expected}{several_robots(bag)};"
-                f" {listing(bag.topics.values())}"
+                f"{bag.path}: no{other_than(bag, besides, types)} {role} topic{without} expected one of type"
+                f" {expected}{several_robots(bag)}; {listing(known)}"
             )
         if len(candidates) > 1:
             none = "" if required else ", or '' for none"
@@ -225,6 +225,11 @@ def choose(
             f" {' or '.join(map(repr, chosen.encodings))}"
         )
     return chosen
+
+
+def other_than(bag: MessageSource, name: str | None, types: tuple[str, ...]) -> str:
+    """The part of "no other topic" that says that this one is of these types, and has another role; else empty."""
+    return " other" if name is not None and name in bag.topics and bag.topics[name].read_as in types else ""
 
 
 def several_robots(bag: MessageSource) -> str:

@@ -1,8 +1,12 @@
 """How messages list things, and what stays of long paths in them."""
 
 import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
 
-from filtering.errors import VaporTrackError, counted, few, listed, shortened
+from filtering.errors import MAX_MESSAGE, VaporTrackError, counted, few, listed, shortened
+
+_LONG = "no such thing, " * 25
 
 
 def test_a_list_names_all_but_two_and_more_others():
@@ -28,12 +32,23 @@ def test_one_of_a_kind_is_no_plural():
         ),
         ("/home/someone/recordings/" + "long-name" * 5 + ".mcap", ".../" + "long-name" * 5 + ".mcap"),
         ("/home/someone/recordings/" + "long-name" * 5 + "/", ".../" + "long-name" * 5 + "/"),
+        ("/home/someone/recordings/" + "y" * 60, ".../" + "y" * 60),
+        ("/home/someone/recordings/" + "y" * 250 + ".mcap", ".../" + "y" * 250 + ".mcap"),
+        ("/" + "y" * 60, "/" + "y" * 60),
         ("/short/path.bag", "/short/path.bag"),
     ],
 )
 def test_of_long_paths_in_long_messages_names_of_files_and_folders_stay_whole(path, kept):
-    said = str(VaporTrackError(f"{path}: {'no such thing, ' * 25}"))
+    said = str(VaporTrackError(f"{path}: {_LONG}"))
     assert said.startswith(f"{kept}: no such")
+
+
+@given(st.lists(st.text("/:;,.'\" yx`…", max_size=400), max_size=6).map(" ".join))
+@example("/" * 80 + " " + "z " * 200)
+@example(f"{'/' * 300} `vapor-track {'/' * 90}`: {_LONG}")
+def test_any_message_can_be_printed_and_has_at_most_the_stated_length(message):
+    assert len(str(VaporTrackError(message))) <= min(MAX_MESSAGE, max(len(message), 300))
+    assert len(shortened(message, 60)) <= 60
 
 
 def test_notices_shorten_long_paths_between_folders():

@@ -193,8 +193,11 @@ def test_what_is_no_video_is_refused(tmp_path):
         ImageSequence(tmp_path / "walk.mp4")
     with pytest.raises(SequenceError, match=r"none\.mp4: no such file, expected a video"):
         ImageSequence(tmp_path / "none.mp4")
-    with pytest.raises(SequenceError, match="no images, expected PNG or JPEG"):
+    with pytest.raises(SequenceError, match="no sequence or data set; looked for a video, PNG or JPEG"):
         ImageSequence(tmp_path)
+    (tmp_path / "notes.txt").write_text("bread\n")
+    with pytest.raises(SequenceError, match=r"notes\.txt: is a file, expected the folder of a data set or the list"):
+        ImageSequence(tmp_path / "notes.txt")
 
 
 def test_a_segment_without_images_is_an_error(clip):
@@ -281,5 +284,11 @@ def test_a_part_is_taken_by_the_numbers_of_the_images(clip, tmp_path):
     beyond = ImageSequence(data, frames=slice(8, 900))
     assert len(list(beyond)) == 2
     assert "images 8:900 were asked for, and there are 10, numbered 0 to 9: 8 to 9 were taken" in beyond.notices
-    with pytest.raises(SequenceError, match="no image is left: 10 × outside the stretch asked for"):
+    whole = "in frames 10:20: there are 10, numbered 0 to 9$"
+    with pytest.raises(SequenceError, match=f"scene: no image with a true pose {whole}"):
         list(ImageSequence(data, frames=slice(10, 20)))
+    with pytest.raises(SequenceError, match=r"images: no image in frames 2:: there are 2, numbered 0 to 1$"):
+        list(ImageSequence(folder_of(tmp_path / "images", ["1", "2"]), frames=slice(2, None)))
+    last = ImageSequence(data, frames=slice(9, 11))
+    assert len(list(last)) == 1
+    assert "images 9:11 were asked for, and there are 10, numbered 0 to 9: 9 was taken" in last.notices

@@ -59,8 +59,6 @@ class Options:
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     o = parse("calibrate", Options, arguments)
-    if not o.data:
-        usage_error("calibrate", "no held-out data, expected at least one file or folder")
     if o.images < 1 or o.seed < 0:
         usage_error("calibrate", f"images {o.images} and seed {o.seed}, expected at least 1 and 0")
     reads = chain([find_model(o.model)], files_read([*o.data, *o.training], o.reading))
@@ -108,6 +106,11 @@ def show_calibration(result: CalibrationResult) -> None:
             "how far the weights of two places of an image tell which is right (1: by their ratio, 0: not at all):"
             f" {result.weight_power:.2f} of a single image, {result.calibration.errors.weight_power:.2f} along a walk"
         )
+    if result.calibration.errors.verified is not None:
+        show(
+            "the model's landmarks are as they were, with the errors that its training found: this calibrates images in"
+            " which they verify no place"
+        )
     show_errors(result)
 
 
@@ -131,7 +134,7 @@ def _images(result: CalibrationResult) -> str:
 
 def _reliability_table(found: Reliability) -> Table:
     """A reliability diagram of single images: bars of how often the best place is right, and its stated probability."""
-    table = Table(title="the best place of a single image, as in the filter", title_justify="left")
+    table = Table(title="the best place of a single image, by the network alone", title_justify="left")
     for name in ("stated", "right", "images", "independent", f"0 to 100 %: {_BAR} right, {_MARK} stated"):
         table.add_column(name, no_wrap=True)
     for each in found.bins:

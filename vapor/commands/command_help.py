@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 import textwrap
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import MISSING, dataclass, fields, is_dataclass
 from inspect import cleandoc
 from typing import Any, get_type_hints
 
@@ -59,7 +59,8 @@ class Command:
         with warnings.catch_warnings():  # no other function of tyro's gives options as data
             warnings.simplefilter("ignore", DeprecationWarning)
             parser = tyro.extras.get_parser(options)
-        groups = dict(_groups(parser))
+        needed = {each.name for each in fields(options) if each.default is each.default_factory is MISSING}
+        groups = dict(_groups(parser, needed))
         if (reading := _reading(options)) is not None:  # needed seldom, so these stand apart
             apart = {f"--{each.name.replace('_', '-')}" for each in fields(reading)}
             meaning, own = groups.pop("options")
@@ -112,9 +113,9 @@ def heading(group: str) -> str:
     return _HEADINGS.get(group, f"--{group}.*")
 
 
-def _groups(parser: Any) -> Iterator[tuple[str, tuple[str, Sequence[Option]]]]:  # tyro has an argparse of its own
-    for group in parser._action_groups:
-        options = [_option(action) for action in group._group_actions if action.dest != "help"]
+def _groups(parser: Any, needed: Collection[str]) -> Iterator[tuple[str, tuple[str, Sequence[Option]]]]:
+    for group in parser._action_groups:  # tyro has an argparse of its own
+        options = [_option(action, needed) for action in group._group_actions if action.dest != "help"]
         if options:
             name = (group.title or "").removesuffix(" options")
             options.sort(key=lambda option: not option.required)
@@ -127,7 +128,7 @@ def _reading(options: type) -> type | None:
     return found if isinstance(found, type) and is_dataclass(found) else None
 
 
-def _option(action: Any) -> Option:
+def _option(action: Any, needed: Collection[str]) -> Option:
     text = " ".join((action.help or "").replace("%%", "%").split())
     stated = re.fullmatch(r"(.*?) ?\((?:(required)|default: (.*?))\)", text)
     text, required, default = (stated[1], stated[2] is not None, stated[3]) if stated else (text, False, None)
@@ -139,6 +140,7 @@ def _option(action: Any) -> Option:
     elif default is not None and re.fullmatch(r"\d+\.0", default) and float(default) >= _LARGE:
         default = f"{float(default):g}"
     metavar = "" if action.nargs == 0 else str(action.metavar or "")
+    required = required or action.dest in needed  # for the parser no arguments are enough where many may be
     return Option(names, _value(metavar), text, default, required, _choices(metavar))
 
 
@@ -159,8 +161,8 @@ def _in_words(value: str) -> str:
     """One of the kinds of value that an option takes."""
     kinds = {"INT": "a whole number", "FLOAT": "a number", "STR": "text", "PATH": "a path"}
     words = value.split()
-    if len(words) > 1 and set(words) == {"FLOAT"}:
-        return f"{len(words)} numbers"
+    if len(words) > 1 and (many := {"FLOAT": "numbers", "STR": "words"}.get(words[0])) and len(set(words)) == 1:
+        return f"{len(words)} {many}"
     if words[1:] == ["..."]:
         return f"{kinds.get(words[0], words[0])}, once or more"
     if value.startswith("{"):

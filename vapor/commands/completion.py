@@ -32,11 +32,13 @@ _SCRIPTS = {
 
 {offered}
 _vapor_track() {{
-  local command="" before=""
+  local command="" before="" word=${{COMP_WORDS[COMP_CWORD]}}
   if ((COMP_CWORD > 1)); then command=${{COMP_WORDS[1]}}; fi
   if ((COMP_CWORD > 2)); then before=${{COMP_WORDS[COMP_CWORD - 1]}}; fi
+  # bash takes --option=value for three words.
+  if [ "$word" = = ]; then word=""; elif [ "$before" = = ]; then before=${{COMP_WORDS[COMP_CWORD - 2]}}; fi
   local offered=$(_vapor_track_offered "$command $before" || _vapor_track_offered "$command")
-  COMPREPLY=($(compgen -W "$offered" -- "${{COMP_WORDS[COMP_CWORD]}}"))
+  COMPREPLY=($(compgen -W "$offered" -- "$word"))
 }}
 complete -o default -F _vapor_track vapor-track  # files where nothing else fits
 """,
@@ -50,6 +52,7 @@ _vapor-track() {{
   local -a offered
   if ((CURRENT > 2)); then command=$words[2]; fi
   if ((CURRENT > 3)); then before=$words[CURRENT-1]; fi
+  if [[ $words[CURRENT] == --*=* ]]; then before=${{words[CURRENT]%%=*}}; compset -P "$before="; fi
   offered=(${{(f)"$(_vapor_track_offered "$command $before" || _vapor_track_offered "$command")"}})
   compadd -a offered || _files  # where nothing else fits
 }}

@@ -22,7 +22,7 @@ from rich.text import Text
 from filtering.errors import VaporTrackError, shortened
 from vapor.commands.command_help import Command
 from vapor.commands.terminal import color_system, raise_of_output, width, wrapped, write, write_error
-from vapor.commands.wrong_arguments import what_is_wrong
+from vapor.commands.wrong_arguments import missing_arguments, what_is_wrong
 
 Options = TypeVar("Options")
 
@@ -70,6 +70,8 @@ def parse(command: str, options: type[Options], arguments: Sequence[str], progra
     for before, word in pairwise(["", *arguments]):
         if (url := re.search(r"(?:^|[=,])([a-z][a-z0-9+.-]*://\S*)", word)) and not _has_address(before, word):
             usage_error(command, f"{url[1]}: expected a path; copy or mount it first", program)
+        if not word and not before.startswith("--"):
+            usage_error(command, "an argument is '', expected a path or a name", program)
     if {"-h", "--help"} & set(arguments):
         show_help(Command.of(f"{program} {command}", options))
         sys.exit(0)
@@ -77,7 +79,7 @@ def parse(command: str, options: type[Options], arguments: Sequence[str], progra
     try:
         os.environ["COLUMNS"] = "1000000"  # in messages no word is broken
         with redirect_stderr(errors):
-            return tyro.cli(options, prog=f"{program} {command}", args=arguments)
+            parsed = tyro.cli(options, prog=f"{program} {command}", args=arguments)
     except VaporTrackError as error:  # a value that its dataclass refuses
         usage_error(command, str(error), program)
     except SystemExit:
@@ -89,6 +91,11 @@ def parse(command: str, options: type[Options], arguments: Sequence[str], progra
         os.environ.pop("COLUMNS", None)
         if columns is not None:
             os.environ["COLUMNS"] = columns
+    if () in vars(parsed).values() and (
+        missing := missing_arguments(arguments, Command.of(f"{program} {command}", options))
+    ):
+        usage_error(command, "; ".join(missing), program)
+    return parsed
 
 
 def show_help(command: Command) -> None:

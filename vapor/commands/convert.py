@@ -11,6 +11,7 @@ from typing import Annotated
 
 import tyro
 
+from filtering.errors import quoted
 from sequences.datasets.convert import convert
 from sequences.datasets.listing import files_read
 from sequences.odometry import OdometryNoise
@@ -34,7 +35,7 @@ class Options:
     odometry_noise: tyro.conf.FlagCreatePairsOff[bool] = False
     """Simulate odometry from the true poses, with the noise below."""
     noise: OdometryNoise = field(default_factory=OdometryNoise)
-    frames: str = ":"
+    frames: Annotated[str, tyro.conf.arg(metavar="START:STOP")] = ":"
     """Which images, such as 100:200 for images 100 to 199; : for all."""
     seed: int = 0
     """Seed of simulated odometry."""
@@ -45,7 +46,7 @@ def main(arguments: Sequence[str]) -> None:
     o = parse("convert", Options, arguments)
     match = re.fullmatch(r"(\d{0,9}):(\d{0,9})", o.frames)
     if match is None:
-        usage_error("convert", f"--frames {o.frames}, expected START:STOP with whole numbers")
+        usage_error("convert", f"--frames is {quoted(o.frames)}, expected START:STOP with whole numbers")
     if o.odometry is not None and o.odometry_noise:
         usage_error("convert", "--odometry and --odometry-noise exclude each other")
     if o.noise != OdometryNoise() and not o.odometry_noise:

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import tyro
 
+from filtering.errors import quoted
 from sequences.outputs import refuse_other
 from vapor.checkpoints.file_format import ONNX, find_model, is_onnx, load_checkpoint
 from vapor.commands.console import OutputPath, Overwrite, parse, show, usage_error
@@ -31,7 +32,7 @@ def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     o = parse("export", Options, arguments)
     if not is_onnx(o.output):
-        usage_error("export", f"output {o.output}, expected a name that ends in {ONNX}")
+        usage_error("export", f"OUT.onnx is {quoted(str(o.output))}, expected a name that ends in {ONNX}")
     file = find_model(o.model)
     refuse_other(o.output, "model that vapor-track exported", is_exported, reads=[file], overwrite=o.overwrite)
     metres, radians = export_onnx(load_checkpoint(file), o.output)

@@ -25,7 +25,7 @@ class Options:
     other --columns. Where these have a weight, such as the number of inliers, a frame may have several hypotheses.
     """
 
-    estimates: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="ESTIMATES")]
+    estimates: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="ESTIMATES ...")]
     """Files of pose estimates, one for each method; each has one hypothesis of where the camera is, or
     several with weights."""
     output: OutputPath
@@ -45,10 +45,9 @@ class Options:
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     o = parse("fuse", Options, arguments)
-    if not o.estimates:
-        usage_error("fuse", "no ESTIMATES, expected at least one file")
     if (o.odometry is None) == (o.simulate_odometry is None):
-        usage_error("fuse", "expected either --odometry FILE or --simulate-odometry FILE")
+        given = "no odometry" if o.odometry is None else "two odometries"
+        usage_error("fuse", f"{given}, expected either --odometry FILE or --simulate-odometry FILE")
     with progress("localizing") as advance:
         result = fuse(
             o.estimates,

@@ -30,9 +30,8 @@ from vapor.commands.console import (
     show,
     show_notices,
     skipped_lines,
-    usage_error,
 )
-from vapor.commands.model_name import OF_MODEL
+from vapor.commands.model_name import ModelName
 from vapor.commands.progress import progress
 from vapor.engines.engine import Device, EngineConfig
 from vapor.inspection.camera import CameraCheck
@@ -69,7 +68,7 @@ class Options:
     data: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="DATA ...")]
     """MCAP files, rosbag2 folders, data set folders or files that list a split. PATH@100:200 takes only images 100 to
     199 of it."""
-    model: Annotated[str | None, OF_MODEL] = None
+    model: ModelName | None = None
     """Also report where this model is unsure or wrong: a model file, or the name of one that ships with the package."""
     output: OutputPath | None = None
     """Folder for report.html and report.json, and with true poses map.png and recording.rrd; new or with earlier
@@ -86,8 +85,6 @@ class Options:
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     o = parse("inspect", Options, arguments)
-    if not o.data:
-        usage_error("inspect", "no data, expected at least one file or folder")
     with _outputs(o) as directory:
         model = None
         if o.model is not None:

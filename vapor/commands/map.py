@@ -14,7 +14,7 @@ from sequences.datasets.listing import files_read
 from sequences.mapping.config import MapConfig
 from sequences.mapping.map import MapResult, map_images
 from sequences.options import SequenceOptions
-from vapor.commands.console import OutputPath, Overwrite, command_line, parse, show, show_notices, usage_error
+from vapor.commands.console import OutputPath, Overwrite, command_line, parse, show, show_notices
 from vapor.commands.progress import progress
 
 
@@ -34,8 +34,6 @@ class Options:
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     o, command = parse("map", Options, arguments), command_line("map", arguments)
-    if not o.inputs:
-        usage_error("map", "no input, expected at least one video, folder of images or recording")
     with progress() as shown:
         result = map_images(
             o.inputs,

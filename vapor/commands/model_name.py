@@ -8,7 +8,21 @@ import tyro
 
 from vapor.checkpoints.file_format import shipped_models
 
-OF_MODEL = tyro.conf.arg(metavar=f"{{{','.join(shipped_models())}}}|PATH")
-"""What stands for the value of such an option."""
-ModelName = Annotated[str, OF_MODEL]
+
+def _name(words: list[str]) -> str:
+    if not words[0].strip():
+        raise ValueError("is empty, expected a model")
+    return words[0]
+
+
+ModelName = Annotated[
+    str,
+    tyro.constructors.PrimitiveConstructorSpec(
+        nargs=1,
+        metavar=f"{{{','.join(shipped_models())}}}|PATH",
+        instance_from_str=_name,
+        is_instance=lambda value: isinstance(value, str),
+        str_from_instance=lambda name: [name],
+    ),
+]
 """A model that ships, by its name, or a model file."""

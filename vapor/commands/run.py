@@ -31,7 +31,7 @@ from vapor.pipeline.config import RunConfig
 from vapor.pipeline.results import RunResult
 from vapor.pipeline.run import run
 from vapor.reporting.calibration import format_calibration
-from vapor.reporting.outcome import Outcome, format_batch, total
+from vapor.reporting.outcome import Outcome, format_batch, said_of_training, total
 from vapor.reporting.report import format_table
 from vapor.training_data.entries import as_entry
 
@@ -43,7 +43,7 @@ class Options:
     sequences: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="SEQUENCE ...")]
     """MCAP files, rosbag2 folders or ROS 1 bags with images and odometry; or images alone: video files, folders of
     images, or data set folders, whose true poses are compared with; of these, PATH@100:200 takes only images 100 to
-    199. Any other folder stands for all of these in it."""
+    199. Any other folder stands for the recordings, videos and data sets in it."""
     model: ModelName
     """Name of a model that ships with the package, or model file."""
     output: OutputPath
@@ -72,8 +72,6 @@ class Options:
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     options, command = parse("run", Options, arguments), command_line("run", arguments)
-    if not options.sequences:
-        usage_error("run", "no sequence, expected at least one recording, video or folder of images")
     if is_batch(options.sequences):
         _run_batch(options, command)
     elif options.dask is not None or options.resume:
@@ -172,6 +170,8 @@ def show_outcomes(outcomes: Sequence[Outcome], output: Path) -> None:
     success = f"; success in {summed['successes']} of {summed['judged']}" if summed["judged"] else ""
     show(f"{len(outcomes)} sequence{'s' * (len(outcomes) != 1)}, {summed['images']} images{converged}{success}")
     show(f"summary    {output / PAGE}, {SUMMARY}")
+    if (of_training := said_of_training(outcomes)) is not None:
+        show(of_training)
     few = [outcome.name for outcome in outcomes if outcome.few_images is not None]
     if few:
         show(f"Fewer than half of the images were used in {len(few)} of {len(outcomes)} sequences: {', '.join(few)}.")

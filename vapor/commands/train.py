@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field, make_dataclass
 from functools import partial
-from itertools import chain
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
 
@@ -60,7 +60,7 @@ def parse_named(
 
 def _named(arguments: Sequence[str], name: str, default: str | None) -> str | None:
     """The last value given for an option."""
-    for word, following in zip(arguments, [*arguments[1:], ""], strict=True):
+    for word, following in pairwise([*arguments, ""]):
         if word == f"--{name}":
             default = following
         elif word.startswith(f"--{name}="):
@@ -98,8 +98,6 @@ def main(arguments: Sequence[str]) -> None:
         ("preset", "method"),
         lambda preset, method: METHODS[method](PRESETS[preset]) if method else PRESETS[preset],
     )
-    if not options.data:
-        usage_error("train", "no training data, expected at least one file or folder")
     from vapor.training.processes import joined_processes
 
     keep_freed_memory()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from difflib import get_close_matches
-from itertools import takewhile
+from itertools import pairwise, takewhile
 
 from filtering.errors import quoted, shortened
 from vapor.commands.command_help import Command, Option
@@ -13,6 +13,7 @@ from vapor.commands.command_help import Command, Option
 _LIKENESS = 0.75  # from here on an option is one that may have been meant
 _LONGEST_NAME = 60  # characters
 _OF_OPTION = re.compile(r"(?:Error parsing |(?:invalid choice .*|Missing value) for argument ')(--[^\s:']+)")
+_UNEXPECTED = re.compile(r"Unrecognized options: (.*)")
 _OF_ARGUMENT = re.compile(r"invalid choice ('.*') for argument '(\w+)'\. Expected one of \(([^()]*)\)")
 
 
@@ -24,16 +25,39 @@ def what_is_wrong(arguments: Sequence[str], message: str, command: Command) -> s
         message: What the parser says, in a box.
         command: The options.
     """
-    given = [_name(word) for word in arguments if word.startswith("--") and word != "--"]
+    given = [_name(word) for word in takewhile(lambda word: word != "--", arguments) if word.startswith("--")]
     if unknown := [_unknown(name, command) for name in given if name not in command.names]:
         return "; ".join(unknown)
     text = _unboxed(message)
-    options = {name: option for _, group in command.groups.values() for option in group for name in option.names}
+    options = _by_name(command)
+    if unexpected := _UNEXPECTED.search(text):
+        return _unexpected(unexpected[1], arguments, command)
     if (refused := _OF_OPTION.match(text)) and refused[1] in given:
         return _refused_value(refused[1], options[refused[1]], arguments)
     if refused := _OF_ARGUMENT.match(text):
         return f"{refused[2]} is {refused[1]}, expected one of {refused[3].replace(chr(39), '')}"
-    return text
+    return "; ".join([*missing_arguments(arguments, command), text])
+
+
+def missing_arguments(arguments: Sequence[str], command: Command) -> list[str]:
+    """Arguments that may be many and are none, each with its meaning: the parser takes none for enough."""
+    options, left, free = _by_name(command), list(arguments), 0
+    while left:
+        word = left.pop(0)
+        if word == "--":
+            free += len(left)
+            break
+        free += not word.startswith("--")
+        if "=" not in word and (option := options.get(_name(word))) is not None:
+            left = left[len(_values(left, option)) :]
+    named = [each for _, group in command.groups.values() for each in group if not each.names]
+    many = [each for each in named if "..." in each.value]
+    missing = [each for each in many if each.required] if free <= len(named) - len(many) else []
+    return [f"missing {each.title}: {each.help.partition('. ')[0].rstrip('.')}" for each in missing]
+
+
+def _by_name(command: Command) -> dict[str, Option]:
+    return {name: option for _, group in command.groups.values() for option in group for name in option.names}
 
 
 def _name(word: str) -> str:
@@ -47,15 +71,34 @@ def _unknown(name: str, command: Command) -> str:
     return f"unknown option {shortened(name, _LONGEST_NAME)}, {hint}"
 
 
+def _unexpected(words: str, arguments: Sequence[str], command: Command) -> str:
+    """What to say of words, the first of which is one of the arguments too many."""
+    found = before = ""
+    for previous, word in pairwise(["", *arguments]):
+        name, _, value = word.partition("=") if word.startswith("--") else (previous, "", word)
+        if value and words.startswith(value):
+            found, before = value, name
+    if not before:
+        return f"unexpected {quoted(words)}, expected `{command.usage}`"
+    if found.startswith("-"):
+        return _unknown(found, command)
+    if (option := _by_name(command).get(_name(before))) is not None and not option.value:
+        return f"unexpected {quoted(found)}, as {_name(before)} takes no value"
+    return f"unexpected {quoted(found)} after {shortened(before, _LONGEST_NAME)}, expected `{command.usage}`"
+
+
 def _refused_value(name: str, option: Option, arguments: Sequence[str]) -> str:
     index = max(i for i, word in enumerate(arguments) if _name(word) == name)
-    if "=" in arguments[index]:
-        values = [arguments[index].partition("=")[2]]
-    else:
-        values = [*takewhile(lambda word: not word.startswith("--"), arguments[index + 1 :])]
-        values = values if "..." in option.value else values[: len(option.value.split())]
+    is_joined = "=" in arguments[index]
+    values = [arguments[index].partition("=")[2]] if is_joined else _values(arguments[index + 1 :], option)
     found = f"is {quoted(' '.join(values))}" if values else "has no value"
     return f"{name} {found}, expected {option.expected}"
+
+
+def _values(following: Sequence[str], option: Option) -> list[str]:
+    """Those of the words after an option that are its values."""
+    values = [*takewhile(lambda word: not word.startswith("--"), following)]
+    return values if "..." in option.value else values[: len(option.value.split())]
 
 
 def _unboxed(text: str) -> str:

@@ -3,41 +3,60 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from sequences.datasets.frames import PosedFrames
+from sequences.errors import SequenceError
 from sequences.frame import Camera, Frame
+from sequences.options import SequenceOptions
 from vapor.calibration.camera_fit import CameraFit, fit_camera, material_of
-from vapor.training_data.load import GreyViews, usual_camera
+from vapor.training_data.entries import open_sequences
+from vapor.training_data.load import GreyViews, commonest_camera, usual_camera
 from vapor.training_data.training_set import TrainingSet
 
 _SAME_PX = 1.0  # median distance, at the size at which features are found: nearer is as stated
 
 
+def usual_of(data: Sequence[Path | str], reading: SequenceOptions | None) -> Camera | None:
+    """The camera of most images of data of one camera, as `train` has it; None of several, and where it is unknown."""
+    sequences = open_sequences(data, reading, "unread")
+    with suppress(SequenceError):  # without true poses, or said when it is read
+        camera = commonest_camera(sequences)
+        names = {
+            name for frames in sequences.values() if isinstance(frames, PosedFrames) for name in frames.camera_names
+        }
+        return camera if len(names) < 2 else None
+    return None
+
+
 class CameraViews:
     """The images of one camera that have a true pose, grey and small, in a temporary file.
 
-    Images of other intrinsics than the first are resampled to these, as for a training.
+    Images of other intrinsics are resampled, as for a training, to those of `usual`, or else of the first image.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, usual: Camera | None = None) -> None:
         self._file = tempfile.TemporaryFile()  # noqa: SIM115 (it is closed with this object)
         self._views: GreyViews | None = None
-        self._camera: Camera | None = None
-        self._is_stated = False
+        self._camera = usual
+        self._is_stated = usual is not None
         self._rows: list[int] = []
 
     def take(self, frame: Frame, row: int) -> None:
         """The next image with a true pose; its row in the `TrainingSet` that will be checked."""
         if not frame.image.size:
             return
-        if self._views is None or self._camera is None:
+        if self._camera is None:
             height, width = frame.image.shape[:2]
             self._is_stated = frame.camera is not None
             self._camera = usual_camera(width, height) if frame.camera is None else frame.camera
+        if self._views is None:
             self._views = GreyViews(self._camera, self._file)
         self._views.take(frame)
         self._rows.append(row)
@@ -49,7 +68,7 @@ class CameraViews:
 
         `images` have the poses of all images; None where no image has one.
         """
-        if self._views is None or images is None:
+        if self._views is None or self._camera is None or images is None:
             return CameraCheck(0, None, None, False)
         count, fit = len(self._rows), None
         if count > 1:

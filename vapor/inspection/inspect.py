@@ -13,7 +13,7 @@ import numpy as np
 from filtering.posterior import ObservationModel
 from sequences.frame import Frame
 from sequences.options import SequenceOptions
-from vapor.inspection.camera import CameraCheck, CameraViews
+from vapor.inspection.camera import CameraCheck, CameraViews, usual_of
 from vapor.inspection.clocks import ImageClock
 from vapor.inspection.coverage import Coverage
 from vapor.inspection.odometry import OdometryCheck, check_odometry
@@ -93,13 +93,14 @@ def inspect(
     def take(frame: Frame) -> None:
         progress("reading images", next(done), None)
         see(frame)
-        camera = views.setdefault(frame.camera_name, CameraViews())
+        camera = views.setdefault(frame.camera_name, CameraViews(usual))
         if frame.world_from_camera is not None:
             camera.take(frame, next(row))
         if model is not None:
             some.add(lambda: (frame.image, frame.camera))
             predicted.append(Prediction.of(model.observe(frame.image, rng=rng)))
 
+    usual = usual_of(data, reading)
     walks = read_walks(data, reading, see=take)
     images = posed_images(walks)
     coverage = odometry = predictions = None

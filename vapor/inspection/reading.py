@@ -12,7 +12,7 @@ import numpy as np
 from filtering.motion import measured
 from filtering.se3 import Poses
 from sequences.datasets.frames import as_its_own, posed_frames
-from sequences.datasets.listing import clipped, is_recording, list_images
+from sequences.datasets.listing import clipped, is_recording, list_images, none_among
 from sequences.datasets.points import POINTS_OF_A_MODEL, SeenPoints
 from sequences.errors import NoImageError, SequenceError
 from sequences.frame import Frame
@@ -114,7 +114,7 @@ class Source:
         for name in reader.camera_names:
             alone = SequenceReader(self._path, self._reading, odometry="optional", only_camera=name)
             try:
-                yield from map(as_its_own, self._of_camera(alone))
+                yield from map(as_its_own, self._of_camera(alone, f", {name}"))
             except NoImageError as error:
                 unusable.append(error)
                 self.notices.append(f"{name} is left out: {error}")
@@ -126,7 +126,7 @@ class Source:
         found = self._points.get(frame.time_ns) if frame.camera is not None else None
         return found and replace(found, point=found.point + self._first_point)
 
-    def _of_camera(self, reader: SequenceReader) -> Iterator[Frame]:
+    def _of_camera(self, reader: SequenceReader, named: str = "") -> Iterator[Frame]:
         start, stop = self._which.start or 0, self._which.stop
         number = -1  # of images with a true pose, by which a range counts; of all images where none has one
         taken = 0
@@ -145,12 +145,13 @@ class Source:
                 yield replace(frame, odometry=motion, number=max(number, 0))
                 taken += 1
         if (fewer := clipped(self._which, number + 1)) is not None:
-            self.notices.append(f"{self._path}: {fewer}")
+            self.notices.append(f"{self._path}{named}: {fewer}")
         reader.stop()
         for _ in frames:  # none comes any more
             pass
         if not taken:
-            raise NoImageError(f"{self._path}: no image in {start}:{stop}, expected at least one; it has {number + 1}")
+            posed = "true poses" not in self.lacks
+            raise NoImageError(f"{self._path}: {none_among(self._which, number + 1, posed=posed)}")
         counts = reader.counts.taken(taken)
         assert self.counts is not None
         self.counts += counts

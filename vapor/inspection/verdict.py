@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -260,20 +261,25 @@ def _cameras(cameras: Mapping[str, CameraCheck]) -> Iterator[str]:
 def _without(walks: Sequence[Walk]) -> Iterator[str]:
     """Odometry is not needed for training."""
     lacking = [walk for walk in walks if walk.source.recorded and not any(step is not None for step in walk.odometry)]
-    if lacking:
-        source, names = lacking[0].source, _first([walk.name for walk in lacking])
-        reason = source.lacks.get("odometry", "none is of the time of the images")
-        if source.unused_odometry:
-            there = ", ".join(f"{count} messages of {name}" for name, count in source.unused_odometry.items())
+    alike: dict[tuple[bool, str], list[Walk]] = {}
+    for walk in lacking:
+        reason = walk.source.lacks.get("odometry", "none is of the time of the images")
+        alike.setdefault((bool(walk.source.unused_odometry), reason), []).append(walk)
+    for (is_there, reason), some in alike.items():
+        names = listed([walk.name for walk in some], _NAMED)
+        if is_there:
+            sources = {id(walk.source): walk.source for walk in some}.values()
+            unused = sum((Counter(source.unused_odometry) for source in sources), Counter())
+            there = ", ".join(f"{count} messages of {name}" for name, count in unused.items())
             yield (
                 f"make the odometry of {names} usable, {there}: {reason}; training does without, and `run --odometry"
                 " visual` makes it from the images, less exactly"
             )
-            return
-        yield (
-            f"record odometry too: none in {names} ({reason}); training does without, and `run` makes it from the"
-            " images, less exactly"
-        )
+        else:
+            yield (
+                f"record odometry too: none in {names} ({reason}); training does without, and `run` makes it from the"
+                " images, less exactly"
+            )
 
 
 def _model(coverage: Coverage, predictions: Predictions) -> Iterator[str]:

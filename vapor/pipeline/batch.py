@@ -17,7 +17,7 @@ from typing import Any
 from filtering.errors import VaporTrackError
 from sequences.atomic import atomic_output, workspace
 from sequences.datasets.layout_helpers.packed import VIDEO_SUFFIXES
-from sequences.datasets.listing import found_images
+from sequences.datasets.listing import find_layouts, found_images
 from sequences.errors import SequenceError
 from sequences.files import read_json
 from sequences.image_sequence import is_image_sequence
@@ -59,10 +59,10 @@ def is_batch(paths: Sequence[Path]) -> bool:
 def find_sequences(paths: Sequence[Path], output: Path) -> dict[str, Path]:
     """Sequences by the names of their results, in order.
 
-    A file, a rosbag2 folder or the folder of a data set is a sequence. Any other folder, and a data set of several
-    sequences, stands for all recordings, videos and data sets below it but for results of earlier runs; where there are
-    none, for itself: its images, or an error when it is opened. A sequence found twice is listed once. A name is that
-    of the file or folder, preceded by folders above it where others have it too.
+    A file, a rosbag2 folder or the folder of a data set is a sequence. Any other folder, as of a data set of several
+    sequences or of a damaged one, stands for all recordings, videos and data sets below it but for results of earlier
+    runs; where there are none, for itself: its images, or an error when it is opened. A sequence found twice is listed
+    once. A name is that of the file or folder, preceded by folders above it where others have it too.
     """
     found: dict[Path, Path] = {}
     for path in map(as_entry, paths):
@@ -74,8 +74,12 @@ def find_sequences(paths: Sequence[Path], output: Path) -> dict[str, Path]:
 def _found_in(path: Path, leave_out: Path | None = None) -> list[Path]:
     if not path.is_dir() or (path / "metadata.yaml").is_file():
         return [path]
-    if _is_data_set(path):
-        return [path]
+    damaged: list[Path] = []
+    try:
+        if _is_data_set(path):
+            return [path]
+    except SequenceError:  # as its reader says; or a stray file beside recordings looks like one of a data set
+        damaged = [path]
     sequences: list[Path] = []
     for entry in sorted(path.iterdir()):
         if entry.name.startswith(".") or entry.absolute() == leave_out:
@@ -86,18 +90,14 @@ def _found_in(path: Path, leave_out: Path | None = None) -> list[Path]:
             sequences += _found_in(entry, leave_out)
         elif entry.suffix.lower() in _FILES and entry.is_file():
             is_result = entry.name == "estimate.mcap" and entry.with_name("report.json").is_file()
-            sequences += [] if is_result else [entry]
-    return sequences
+            is_part = bool(damaged) and entry.name in {layout.video for layout in find_layouts()}
+            sequences += [] if is_result or is_part else [entry]
+    return sequences or damaged
 
 
 def _is_data_set(folder: Path) -> bool:
-    """Whether a folder is one sequence of a data set, or a damaged one, which its reader reports."""
-    try:
-        if not is_image_sequence(folder):
-            return False
-        posed = found_images(folder)
-    except SequenceError:
-        return True
+    """Whether a folder is one sequence of a data set. Raises SequenceError where a file of it is missing or damaged."""
+    posed = found_images(folder) if is_image_sequence(folder) else None
     return posed is not None and not posed.has_several
 
 

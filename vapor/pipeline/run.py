@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from hashlib import sha256
@@ -14,6 +13,7 @@ from jaxtyping import Int64, UInt8
 from filtering.errors import VaporTrackError
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
+from sequences.datasets import listing
 from sequences.datasets.listing import as_typed, require_recording
 from sequences.frame import Camera, Frame
 from sequences.frame_source import FrameSource, RestatedSequence
@@ -101,7 +101,8 @@ def run(
 
 def files_read(sequence: Path, model: LoadedModel, reading: SequenceOptions | None) -> list[Path]:
     """Files and folders that a run reads, as far as they are known before it."""
-    return [_part_of(sequence)[0], model.file, *(() if reading is None else reading.files_read)]
+    path, _ = parse_entry(sequence)
+    return [*listing.files_read(path), model.file, *(() if reading is None else reading.files_read)]
 
 
 def request_of(sequence: Path, model: LoadedModel, config: RunConfig, reading: SequenceOptions | None) -> str:
@@ -109,8 +110,10 @@ def request_of(sequence: Path, model: LoadedModel, config: RunConfig, reading: S
 
     The sequence counts by name and size of its files, and by both ends of some of them, evenly spread.
     """
-    reading, (whole, part) = reading or SequenceOptions(), _part_of(sequence)
-    files = [whole] if whole.is_file() else sorted(path for path in whole.rglob("*") if path.is_file())
+    reading, (whole, part) = reading or SequenceOptions(), parse_entry(sequence)
+    read = dict.fromkeys(listing.files_read(whole.absolute()))
+    found = {each for path in read for each in (path.rglob("*") if path.is_dir() else [path])}
+    files = sorted(path for path in found if path.is_file())
     poses = [path for path in reading.files_read if path.is_file()]
     settings = {
         "vapor-track": version_of("vapor-track"),
@@ -222,7 +225,7 @@ def run_into(
 
 
 def _open(sequence: Path, reading: SequenceOptions, config: RunConfig, cameras: Sequence[str]) -> FrameSource:
-    path, part = _part_of(sequence)
+    path, part = parse_entry(sequence)
     if not is_image_sequence(path):
         require_one_source(config.odometry, reading)
         require_recording(path)
@@ -232,11 +235,6 @@ def _open(sequence: Path, reading: SequenceOptions, config: RunConfig, cameras: 
             f"{sequence}: --odometry {config.odometry} with images alone, expected a recording with odometry"
         )
     return ImageSequence(path, reading, rate_hz=config.rate_hz, frames=part)
-
-
-def _part_of(sequence: Path) -> tuple[Path, slice]:
-    """Path and images of a sequence or of `PATH@START:STOP`."""
-    return (sequence, slice(None)) if os.path.exists(sequence) else parse_entry(sequence)
 
 
 def _with_visual_odometry(frames: FrameSource, model: ModelDescription, config: RunConfig) -> FrameSource:
@@ -272,7 +270,7 @@ def _with_inertial(frames: FrameSource, reading: SequenceOptions, *, usual_up: U
         reading: Its topics.
         usual_up: Which way is up for a robot.
     """
-    if is_image_sequence(frames.path):
+    if "image_topic" not in frames.resolved:  # images alone
         return frames
     localized = replace(reading, image_topic=frames.resolved["image_topic"].split(",")[0])
     samples, notices = read_inertial(frames.path, localized)

@@ -11,7 +11,8 @@ from vapor.tracking.methods import METHODS, in_order
 if TYPE_CHECKING:
     from rich.table import Table
 
-_LEAST_IMAGES = 50  # that a statement on the calibration needs
+LEAST_IMAGES = 50
+"""Images that a statement on the calibration needs."""
 _TOO_SURE = 0.2  # by which a region may hold less than stated
 _WRONG = 0.05  # of the converged images
 _USUAL_NEES = "5.35"  # its median for true Gaussian covariances
@@ -31,17 +32,17 @@ def consistencies(report: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
 def calibration_table(report: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
     """Headings and rows of a table: for each method the fraction of true poses in its regions, and what is expected.
 
-    Without any image to check there are no rows.
+    A method with fewer than `LEAST_IMAGES` has their number alone; where all have, there are no rows.
     """
     columns = ["", "images", *(f"{100 * part:g}\N{NO-BREAK SPACE}%\nregion" for part in REGIONS.values())]
     columns += ["median\nNEES", "wrong"]
     rows: list[list[str]] = []
-    found = consistencies(report)
-    if not any(each["images"] for each in found.values()):
+    checked = _checked(report)
+    if not checked:
         return columns, rows
-    for name, each in found.items():
+    for name, each in consistencies(report).items():
         row = [METHODS[name].label, str(each["images"])]
-        if each["images"]:
+        if name in checked:
             row += [f"{100 * each['coverage'][region]:.1f} %" for region in REGIONS]
             row += [f"{each['median_nees']:.2f}", f"{100 * each['wrong']:.1f} %"]
         rows.append(row + [""] * (len(columns) - len(row)))
@@ -63,9 +64,13 @@ def format_calibration(report: Mapping[str, Any]) -> Table | None:
     return table
 
 
+def _checked(report: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
+    return {name: each for name, each in consistencies(report).items() if each["images"] >= LEAST_IMAGES}
+
+
 def too_sure_notices(report: Mapping[str, Any]) -> list[str]:
     """A warning of each trajectory whose stated errors are too small for a recording, by its true poses."""
-    checked = {name: each for name, each in consistencies(report).items() if each["images"] >= _LEAST_IMAGES}
+    checked = _checked(report)
     held = {name: each["coverage"]["90%"] for name, each in checked.items()}
     low = [name for name, part in held.items() if part < REGIONS["90%"] - _TOO_SURE]
     notices = []

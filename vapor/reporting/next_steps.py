@@ -11,12 +11,15 @@ from vapor.reporting.report import HARDLY, is_placed
 MOST_STEPS = 4
 MOVE_ON = "Move on until something looks different, or look with more cameras."
 """Where several places remain."""
+TRAINED_ON = "were trained on"
+"""In the notice that the model was trained on images of the run."""
 _FEW, _FEW_VERIFIED = 0.5, 0.2  # of the images, converged and with landmarks, below which something is amiss
 _AMBIGUOUS = 0.5  # of the smoothed poses
 _DOUBTFUL = 0.05  # of the smoothed poses
 
 _OF_NOTICES: tuple[tuple[str, str], ...] = (
     (r"^Only \d+ of \d+ images were used", "Mend the recording, or record again: most of its images are lost."),
+    (TRAINED_ON, "Judge by images that the model was not trained on."),
     (r"^images look like .* only when (?P<change>.*?)(?: \(.*)?:", "Correct the images where they are made."),
     (r"^images look like .* does not agree", "Compare clocks and axes: vapor-track inspect, with this recording."),
     (

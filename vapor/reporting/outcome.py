@@ -9,16 +9,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from filtering.errors import listed
 from sequences.reading.counts import ImageCounts
 from vapor.evaluation.trajectory import associate, is_right
 from vapor.reporting.html.drawings import evenly
 from vapor.reporting.name_cell import WholeWords
-from vapor.reporting.next_steps import next_steps
+from vapor.reporting.next_steps import TRAINED_ON, next_steps
 from vapor.reporting.stored_run import StoredRun
 
 if TYPE_CHECKING:
     from rich.table import Table
 
+_NAMED = 5  # recordings in a sentence
 STATES = ("right", "converged", "ambiguous", "lost", "wrong")
 """Of an image: its status, but where its true pose is known `converged` is `right` or `wrong`."""
 
@@ -72,6 +74,11 @@ class Outcome:
             return False
         return self.final_status == "converged" if self.success is None else self.success
 
+    @property
+    def trained_on(self) -> bool:
+        """Whether the model was trained on images of it, so that its errors say nothing about new images."""
+        return any(TRAINED_ON in notice for notice in self.notices)
+
     @staticmethod
     def of_run(name: str, sequence: str, run: StoredRun, most_positions: int) -> Outcome:
         """The result of a run, with so many of the positions."""
@@ -122,6 +129,12 @@ def _states(run: StoredRun, most_positions: int) -> tuple[dict[str, float], Visi
         tuple(states[shown[some]].tolist()),
         are_true=truth is not None,
     )
+
+
+def said_of_training(outcomes: Sequence[Outcome]) -> str | None:
+    """Which recordings have images that the model was trained on; None where none has."""
+    names = [outcome.name for outcome in outcomes if outcome.trained_on]
+    return f"The model was trained on images of {len(names)} of these: {listed(names, _NAMED)}." if names else None
 
 
 def total(outcomes: Sequence[Outcome]) -> dict[str, Any]:

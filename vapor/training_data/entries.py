@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
@@ -57,11 +58,13 @@ def as_entry(entry: Path | str) -> Path:
 
 
 def parse_entry(entry: Path | str) -> tuple[Path, slice]:
-    """Path and frames of `PATH` or `PATH@START:STOP`.
+    """Path and frames of `PATH` or `PATH@START:STOP`; all frames of a path that exists as it stands.
 
     Raises:
         TrainingError: the text after the @ is not a range.
     """
+    if os.path.exists(entry):
+        return Path(entry), slice(None)
     match = re.fullmatch(r"(?P<path>.+)@(?P<start>\d*):(?P<stop>\d*)", str(entry))
     if match:
         start, stop = int(match["start"] or 0), int(match["stop"]) if match["stop"] else None
@@ -69,7 +72,7 @@ def parse_entry(entry: Path | str) -> tuple[Path, slice]:
             raise TrainingError(f"{entry}: @{start}:{stop} has no image, expected START:STOP with STOP above START")
         return Path(match["path"]), slice(start, stop)
     before, at, part = str(entry).rpartition("@")
-    if at and not Path(entry).exists() and (re.fullmatch("[^/]*:[^/]*", part) or (before and Path(before).exists())):
+    if at and (re.fullmatch("[^/]*:[^/]*", part) or (before and Path(before).exists())):
         raise TrainingError(
             f"{entry}: @{part} is no part, expected @START:STOP, whole numbers of which one may be left out"
         )

@@ -59,7 +59,7 @@ def load_training_set(
     colours: dict[str, Colours] = {}
     cameras, topics = {"": 0}, dict[str, None]()
     shape: tuple[int, ...] | None = None
-    camera = camera or _commonest_camera(sequences)
+    camera = camera or commonest_camera(sequences)
     camera_size = (camera.width, camera.height) if camera else None
     as_taken: AsTakenBy | None = None
     with tempfile.TemporaryFile() as file, tempfile.TemporaryFile() as grey_file:
@@ -150,8 +150,11 @@ class _Row(NamedTuple):
     number: int | None
 
 
-def _commonest_camera(sequences: Mapping[str, Iterable[Frame]]) -> Camera | None:
-    """The camera of most images, as far as cameras are known before reading."""
+def commonest_camera(sequences: Mapping[str, Iterable[Frame]]) -> Camera | None:
+    """The camera of most images, as far as cameras are known before reading.
+
+    Raises SequenceError as the first frame would.
+    """
     cameras: Counter[Camera] = Counter()
     for frames in sequences.values():
         if isinstance(frames, PosedFrames):

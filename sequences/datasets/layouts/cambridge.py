@@ -1,5 +1,7 @@
 """Cambridge Landmarks: `dataset_train.txt` and `dataset_test.txt` of a scene list its images with their poses.
 
+A sequence, `seq1`, is named by its folder, whichever list has it.
+
 Kendall, Grimes and Cipolla, "PoseNet: A Convolutional Network for Real-Time 6-DOF Camera Relocalization", ICCV 2015.
 Three lines of header are followed by `seq1/frame00001.png X Y Z W P Q R`. X Y Z is the camera's centre C in the world,
 and W P Q R the quaternion (w, x, y, z) of the rotation R from world to camera, as in an NVM reconstruction: published
@@ -36,26 +38,33 @@ _FARTHEST_M = 10_000.0
 
 
 def list_images(path: Path) -> PosedImages | None:
-    """Images of a split, given as the file that lists them; None where it is another file or a folder."""
-    if re.fullmatch(r"dataset_\w+\.txt", path.name) is None or not path.is_file():
+    """Images of a split, given as the file that lists them, or of a sequence, its folder; None of any other path."""
+    scene, only = path.absolute().parent, ""
+    if re.fullmatch(r"dataset_\w+\.txt", path.name) is not None and path.is_file():
+        root, lists = path.parent, [path]
+    elif path.is_dir():
+        root, lists, only = scene, _lists(scene), f"{path.absolute().name}/"
+    else:
         return None
     poses: dict[str, Poses | str] = {}
-    lines: dict[str, int] = {}
+    lines: dict[str, str] = {}
     rows = Rows()
-    for number, fields in rows.each(_rows(path)):
-        where, name = f"{path}:{number}", fields[0]
+    named = ((f"{file}:{number}", fields) for file in lists for number, fields in _rows(file))
+    for where, fields in rows.each(row for row in named if row[1][0].startswith(only)):
+        name = fields[0]
         if name in lines:
-            raise SequenceError(f"{where}: {quoted(name)} is on line {lines[name]} too, expected it once")
-        lines[name] = number
+            raise SequenceError(f"{where}: {quoted(name)} is on {lines[name]} too, expected it once")
+        lines[name] = Path(where).name
         pose = rows.use(read_pose_row, fields, _COLUMNS, where)
         if isinstance(pose, Poses):
             is_far = np.linalg.norm(pose.translation) > _FARTHEST_M
             inverted = Poses(np.ascontiguousarray(pose.rotation.T), pose.translation)
             pose = "true pose more than 10 km away" if is_far else inverted
         poses[name] = pose
-    scene = path.absolute().parent
-    images = list_named(_NAME, path.parent, path.parent, poses, _in_no_list(path.parent), rows.notices)
-    return images.with_camera(find_camera((scene, scene.parent), images.files))
+    if only and not poses:
+        return None
+    images = list_named(_NAME, root, root, poses, () if only else _in_no_list(root), rows.notices)
+    return images.with_camera(find_camera((path, scene, scene.parent), images.files))
 
 
 def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:
@@ -70,10 +79,13 @@ def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:
             )
 
 
+def _lists(scene: Path) -> list[Path]:
+    return sorted(file for file in scene.glob("dataset_*.txt") if file.is_file())
+
+
 def _in_no_list(scene: Path) -> list[Path]:
     """Folders of a scene that none of its lists names."""
-    lists = [file for file in scene.glob("dataset_*.txt") if file.is_file()]
-    named = {line.strip().partition("/")[0] for file in lists for _, line in read_lines(file)}
+    named = {line.strip().partition("/")[0] for file in _lists(scene) for _, line in read_lines(file)}
     return [folder for folder in scene.iterdir() if folder.is_dir() and folder.name not in named]
 
 

@@ -26,7 +26,7 @@ from sequences.files import Rows, read_rows, require_inside
 from sequences.frame import Camera
 from sequences.values import parse_frame_number, parse_numbers, parse_time_ns
 
-_NAME = "Stray Scanner"
+_NAME, _VIDEO = "Stray Scanner", "rgb.mp4"
 _COLUMNS = ["timestamp", "frame", "x", "y", "z", "qx", "qy", "qz", "qw"]
 _POSITION = {"x": "tx", "y": "ty", "z": "tz"}
 _FOCAL = ["fx", "fy", "cx", "cy"]
@@ -85,9 +85,9 @@ class _Frames:
             self._files = images_by_number(folder / "rgb", ())
             require_inside(folder, self._files.values())
             return
-        if not (folder / "rgb.mp4").is_file():
-            raise SequenceError(f"{folder / 'rgb.mp4'}: no such file, expected the video, or its frames in rgb/")
-        self._video = VideoFile(folder / "rgb.mp4")
+        if not (folder / _VIDEO).is_file():
+            raise SequenceError(f"{folder / _VIDEO}: no such file, expected the video, or its frames in rgb/")
+        self._video = VideoFile(folder / _VIDEO)
 
     def __contains__(self, number: int) -> bool:
         if self._files is not None:
@@ -150,4 +150,4 @@ def _camera(
     return Camera(width, height, fx, fy, cx, cy)
 
 
-LAYOUT = Layout(_NAME, looked_for="odometry.csv", order=70, list_images=list_images)
+LAYOUT = Layout(_NAME, looked_for="odometry.csv", order=70, list_images=list_images, video=_VIDEO)

@@ -34,6 +34,19 @@ def test_a_cambridge_list_gives_its_images_by_sequence_and_frame(tmp_path: Path)
         list_images(scene)
 
 
+def test_a_cambridge_sequence_is_named_by_its_folder_whichever_list_has_it(tmp_path: Path) -> None:
+    scene = make_cambridge(tmp_path / "scene")
+    check(scene / "seq10", [2, 3], [0, THIRTIETH_NS])
+    check(scene / "seq1", [4], [0])
+    write_images(scene, {6: "seq10/frame00003.png", 7: "seq3/frame00001.png"})
+    assert list_images(scene / "seq10").skipped == {"image not in the list": 1}
+    with pytest.raises(SequenceError, match="images without true poses"):
+        list_images(scene / "seq3")
+    (scene / "dataset_test.txt").write_text(HEADER + cambridge_row("seq10/frame00001.png", true_pose(2)))
+    with pytest.raises(SequenceError, match=r"dataset_train\.txt:5: 'seq10/frame00001\.png' is on dataset_test\.txt:4"):
+        list_images(scene / "seq10")
+
+
 def test_a_published_cambridge_pose_looks_at_the_shop_and_stands_upright(tmp_path: Path) -> None:
     """Shop Façade, where the shop is at larger y and z is up; read the other way round, it would look away from it."""
     write_images(tmp_path, {0: "seq1/frame00001.png"})
@@ -74,7 +87,10 @@ def test_what_a_cambridge_list_leaves_out_is_counted(tmp_path: Path) -> None:
         (HEADER + "seq2/frame00009.png 1 2 3 1 0 0 a\n", "4: 'a' is no number"),
         (HEADER + "seq2/frame00009.png 1 2 3 0 0 0 0\n", "4: quaternion of length 0, expected a unit quaternion"),
         (HEADER + "seq2/frame00009.png\n", "4: 1 columns"),
-        (HEADER + "seq2/frame00009.png 1 2 3 1 0 0 0\n" * 2, "5: 'seq2/frame00009.png' is on line 4 too"),
+        (
+            HEADER + "seq2/frame00009.png 1 2 3 1 0 0 0\n" * 2,
+            r"5: 'seq2/frame00009.png' is on dataset_train\.txt:4 too",
+        ),
         ("seq2/frame00009.png 1 2 3 1 0 0 0\n" * 5, "1: .* among the first three lines, expected them to be a header"),
     ],
 )

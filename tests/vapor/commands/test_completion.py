@@ -20,6 +20,7 @@ ASK = {
     # Without a terminal the builtins of completion refuse: these print what the real ones would be given.
     "zsh": """
         compdef() { :; }
+        compset() { words[CURRENT]=${words[CURRENT]#$2}; }
         compadd() { local -a fit; fit=(${(M)${(P)2}:#${(b)words[CURRENT]}*}); print -rl -- $fit; (($#fit)) }
         _files() { print FILES; }
         source "$0"; words=("$@"); CURRENT=$#; _vapor-track
@@ -72,6 +73,20 @@ def test_options_are_completed(shell):
 )
 def test_names_that_an_option_takes_are_completed(shell, words, names):
     assert completed(shell, *words, "") == sorted(names)
+
+
+def test_names_are_completed_after_an_equals_sign(shell):
+    def after(*words: str) -> list[str]:
+        split = [part for word in words for part in word.replace("=", " = ").split(" ")]
+        if split[-2:] == ["=", ""]:
+            split.pop()
+        return completed(shell, *(split if shell[0] == "bash" else words))  # bash splits words there
+
+    assert after("run", "--model=st") == ["staircase"]
+    assert after("run", "walk.mcap", "--model=") == sorted(shipped_models())
+    assert after("run", "walk.mcap", "--odometry=v") == ["visual"]
+    assert after("run", "walk.mcap", "--output=") == ["FILES"]
+    assert after("run", "--model=st", "--eng") == ["--engine"]
 
 
 @pytest.mark.parametrize(

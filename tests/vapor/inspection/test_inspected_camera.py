@@ -4,6 +4,7 @@ import json
 import re
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -11,6 +12,7 @@ from filtering.se3 import Poses
 from sequences.frame import Frame
 from sequences.writer import SequenceWriter
 from tests.helpers.corridors import recorded
+from tests.helpers.data_sets import COLMAP_NAMES, colmap_row, make_colmap, true_pose
 from tests.helpers.inspected import BEGIN_NS, only
 from tests.helpers.textured_room import CAMERA, Room, walk
 from vapor.calibration.camera_fit import fit_camera, material_of
@@ -108,15 +110,50 @@ def test_what_is_said_of_the_camera_is_what_a_training_says(room, tmp_path):
     assert check.in_words == fit.in_words(wrong.width)
 
 
-def test_images_of_other_intrinsics_are_resampled_as_for_a_training(room):
-    views, poses = CameraViews(), walk(40)
+def _of_two_cameras(root, room, poses):
+    """A COLMAP model in whose order of time the rare camera comes first."""
     zoomed = replace(CAMERA, fx=300.0, fy=300.0)
-    for number in range(40):
-        stated = zoomed if number % 5 == 4 else CAMERA
-        views.take(Frame(number, room.view(poses[number], stated), None, poses[number], stated), number)
-    found = views.check(recorded(poses))
-    assert (found.images, found.of_all) == (40, False)
-    assert found.found.fx == pytest.approx(CAMERA.fx, rel=0.02)
+    (root / "images").mkdir(parents=True)
+    rows = []
+    for number in range(len(poses)):
+        rare, name = number % 5 == 0, f"{number:03d}.png"
+        image = room.view(poses[number], zoomed if rare else CAMERA)
+        cv2.imwrite(str(root / "images" / name), image[:, :, ::-1])
+        rows.append(colmap_row(number + 1, poses[number], 2 if rare else 1, name) + "\n\n")
+    cameras = [
+        f"{n} PINHOLE {c.width} {c.height} {c.fx} {c.fy} {c.cx + 0.5} {c.cy + 0.5}\n"
+        for n, c in ((1, CAMERA), (2, zoomed))
+    ]
+    (root / "sparse").mkdir()
+    (root / "sparse" / "cameras.txt").write_text("".join(cameras))
+    (root / "sparse" / "images.txt").write_text("".join(rows))
+    return root
+
+
+def test_images_of_other_intrinsics_are_resampled_to_those_of_most_images_as_for_a_training(room, tmp_path):
+    root = _of_two_cameras(tmp_path / "place", room, walk(40))
+    (check,) = inspect([root]).cameras.values()
+    assert (check.images, check.of_all) == (40, False)
+    assert check.camera.fx == pytest.approx(CAMERA.fx)
+    images = load_training_set(open_sequences([root]), (32, 32), views=True)
+    assert check.in_words == fit_camera(material_of(images)).in_words(CAMERA.width)
+
+
+def test_the_points_of_a_reconstruction_are_those_of_a_training(tmp_path, monkeypatch):
+    data = [make_colmap(tmp_path / name, "sparse", "images") for name in ("a", "b")]
+    for root in data:
+        rows = [colmap_row(i + 5, true_pose(i), 1, COLMAP_NAMES[i]) + f"\n{10 + i} 20 7 5 6 9\n" for i in (0, 1, 2)]
+        (root / "sparse" / "images.txt").write_text("".join(rows))
+        (root / "sparse" / "points3D.txt").write_text("7 1 2 3 1 2 3 0.5 1 0\n9 1 2 3 1 2 3 0.5 1 0\n")
+    seen = []
+    monkeypatch.setattr("vapor.inspection.camera.material_of", lambda images, _: seen.append(images) or None)
+    inspect(data)
+    found, expected = seen[0].seen_points, load_training_set(open_sequences(data), (32, 32), views=True).seen_points
+    assert len(found) == len(expected) == 6
+    for mine, other in zip(found, expected, strict=True):
+        assert mine.point.tolist() == other.point.tolist()
+        np.testing.assert_array_equal(mine.rays, other.rays)
+    assert not set(found[0].point) & set(found[3].point)
 
 
 def test_where_none_are_stated_those_that_fit_are_said(room):

@@ -18,7 +18,8 @@ from tests.helpers.corridors import corridor
 from tests.helpers.data_sets import make_colmap, make_tum
 from tests.helpers.inspected import LEVEL, detailed, only, panorama, scenery, walked, write
 from tests.helpers.pages import ReadPage, entities_of
-from tests.helpers.sequence_files import BEGIN_NS, rewrite
+from tests.helpers.rigs import FRONT, LEFT, Rig
+from tests.helpers.sequence_files import BEGIN_NS, Walk, rewrite
 from vapor.inspection.inspect import inspect
 from vapor.inspection.reading import posed_images, read_walks
 from vapor.inspection.verdict import Verdict, verdict
@@ -122,8 +123,20 @@ def test_a_range_beyond_the_end_is_said_and_one_wholly_beyond_refused(recorded, 
     frames = posed_frames(data, frames=slice(4, 900))
     assert [frame.number for frame in frames] == list(range(4, count))
     assert frames.notices.count(f"{data}: {said}") == 1
-    with pytest.raises(SequenceError, match="no image"):
-        inspect([f"{data}@800:900"])
+    with pytest.raises(SequenceError, match=f"frames 800:: there are {count}, numbered 0 to {count - 1}$"):
+        inspect([f"{data}@800:"])
+
+
+@pytest.mark.usefixtures("unchecked", "no_views", "no_camera")
+def test_a_range_beyond_the_end_of_one_of_several_cameras_names_the_camera(tmp_path):
+    path = Rig({"left": 0}, {"left": 4}).write(tmp_path / "rig.mcap", Walk(11))
+    (source,) = {id(walk.source): walk.source for walk in read_walks([f"{path}@2:12"])}.values()
+    asked = "images 2:12 were asked for, and there are"
+    said = [notice for notice in source.notices if asked in notice]
+    assert said == [
+        f"{path}, {FRONT}: {asked} 11, numbered 0 to 10: 2 to 10 were taken",
+        f"{path}, {LEFT}: {asked} 3, numbered 0 to 2: 2 was taken",
+    ]
 
 
 # --- recordings that lack something --------------------------------------------------------------------
@@ -163,6 +176,16 @@ def test_odometry_that_is_recorded_and_cannot_be_used_is_not_said_to_be_absent(t
     sentence = only(none, "odometry")
     assert sentence.startswith("record odometry too: none in none.mcap (")
     assert sentence.endswith("; training does without, and `run` makes it from the images, less exactly")
+
+
+def test_recordings_with_odometry_that_cannot_be_used_and_those_without_are_said_apart(tmp_path):
+    path = write(tmp_path / "w.mcap", walked(12))
+    loose = [rewrite(path, tmp_path / f"loose{i}.mcap", keep=lambda t, _: t != "/tf_static") for i in range(2)]
+    none = rewrite(path, tmp_path / "none.mcap", keep=lambda topic, _: topic != "/odom")
+    found = inspect([none, *loose])
+    sentence = only(found, "make the odometry of")
+    assert sentence.startswith("make the odometry of loose0.mcap and loose1.mcap usable, 24 messages of /odom: no tra")
+    assert only(found, "record odometry too").startswith("record odometry too: none in none.mcap (")
 
 
 def test_the_command_that_makes_poses_names_the_camera_that_was_named(tmp_path):

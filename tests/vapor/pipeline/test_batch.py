@@ -11,7 +11,8 @@ import pytest
 
 from sequences.options import SequenceOptions
 from tests.helpers.command_line import contents
-from tests.helpers.data_sets import make_7scenes, make_tum
+from tests.helpers.data_sets import make_7scenes, make_cambridge, make_tum
+from tests.helpers.dot_scene import make_stray
 from tests.helpers.sequence_files import BEGIN_NS, Walk, as_split_folder, rewrite
 from tests.helpers.tiny_model import SMALL
 from vapor.pipeline import batch as batch_module
@@ -96,6 +97,26 @@ def test_a_part_of_a_folder_is_named_by_it_also_with_a_slash_between(tmp_path):
         "desk@0:2": tmp_path / "desk@0:2",
         "hall@0:2": tmp_path / "hall@0:2",
     }
+
+
+@pytest.mark.parametrize("stray", ["poses.txt", "transforms.json"])
+def test_a_stray_file_named_like_one_of_a_data_set_does_not_hide_recordings(stray, tmp_path):
+    touch(tmp_path / "rec", "a/walk.mcap", "b/phone.mp4", "hall.mp4", stray)
+    assert set(find_sequences([tmp_path / "rec"], tmp_path / "out")) == {"walk", "phone", "hall"}
+
+
+def test_a_damaged_data_set_is_a_sequence_that_fails_in_its_row(tmp_path):
+    scan, desk = make_stray(tmp_path / "all" / "scan"), make_tum(tmp_path / "all" / "desk", num_images=2)
+    (scan / "odometry.csv").write_text("nothing of use\n")
+    (desk / "rgb.txt").write_text("nothing of use\n")
+    assert not is_batch([scan])
+    assert not is_batch([desk])
+    assert find_sequences([tmp_path / "all"], tmp_path / "out") == {"desk": desk, "scan": scan}
+
+
+def test_a_scene_of_cambridge_landmarks_stands_for_its_sequences(tmp_path):
+    scene = make_cambridge(tmp_path / "scene")
+    assert set(find_sequences([scene], tmp_path / "out").values()) == {scene / f"seq{number}" for number in (1, 2, 10)}
 
 
 def test_names_are_unique_and_as_short_as_they_can_be(tmp_path):

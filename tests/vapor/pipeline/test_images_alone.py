@@ -9,6 +9,7 @@ import pytest
 
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
+from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
 from sequences.reading.counts import BETWEEN
 from sequences.trajectories.tum import read_tum
@@ -21,6 +22,7 @@ from tests.helpers.tiny_model import SMALL
 from tests.helpers.video_clips import write_clip
 from tests.helpers.video_files import pictures
 from tests.sequences.visual_odometry.test_visual_odometry import STEP_NS, images_of, walk
+from vapor.inspection.reading import read_walks
 from vapor.pipeline.batch import find_sequences
 from vapor.pipeline.config import RunConfig
 from vapor.track import main
@@ -147,6 +149,16 @@ def test_why_there_is_no_odometry_is_said(without, tiny_model, tmp_path, capsys)
     page = ReadPage.of((tmp_path / "out" / "report.html").read_text())
     assert "Odometry: made from the images, in a unit" in page.words
     assert f"No odometry is recorded: {looked_for}." in page.words
+
+
+def test_odometry_that_is_used_as_true_poses_is_not_said_to_be_absent(walk_of_25, tiny_model, tmp_path, capsys):
+    path = rewrite(walk_of_25, tmp_path / "walk.mcap", keep=lambda topic, _: topic != TRUTH)
+    assert run(path, tiny_model, tmp_path / "out", "--ground-truth-topic", ODOMETRY) == 0
+    (said,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("odometry ")]
+    assert "none is recorded: no other topic is of type nav_msgs/Odometry, and in tf " in said
+    lacks = read_walks([path], SequenceOptions(ground_truth_topic=ODOMETRY))[0].source
+    assert lacks.lacks["odometry"].startswith("no other odometry topic, expected one of type nav_msgs/Odometry;")
+    assert not lacks.unused_odometry
 
 
 @pytest.mark.usefixtures("unchecked")

@@ -9,7 +9,7 @@ import torch
 from filtering.se3 import Poses
 from sequences.datasets.listing import list_images
 from tests.helpers.checkpoints import any_checkpoint
-from tests.helpers.command_line import report_of, words_of_run
+from tests.helpers.command_line import refuse, report_of, words_of_run
 from tests.helpers.data_sets import make_7scenes
 from vapor.checkpoints.file_format import save_checkpoint
 from vapor.pipeline.config import RunConfig
@@ -18,6 +18,7 @@ from vapor.pipeline.run import request_of
 from vapor.pipeline.trained_images import said_of_trained_images
 from vapor.regressors.scene_box import SceneBox
 from vapor.track import main
+from vapor.training_data.entries import open_sequences
 
 
 @pytest.fixture
@@ -60,6 +61,36 @@ def test_the_images_that_a_training_left_out_are_run_on_by_their_numbers(scene, 
     loaded = load_model(str(model), RunConfig())
     requests = {request_of(path, loaded, RunConfig(), None) for path in (scene, part, scene.with_name("scene@1:3"))}
     assert len(requests) == 3
+
+
+def test_results_are_not_written_among_the_images_that_are_read(tiny_model, tmp_path, capsys):
+    multi = make_7scenes(tmp_path / "multi", num_images=2, sequences=("seq-01", "seq-02"))
+    (multi / "TestSplit.txt").write_text("sequence2\n")
+    for sequence, output in (
+        (multi / "TestSplit.txt", multi),
+        (multi / "TestSplit.txt", multi / "seq-02"),
+        (f"{multi / 'seq-01'}@0:2", multi / "seq-01"),
+        (make_7scenes(tmp_path / "scene", num_images=2), tmp_path / "scene" / "seq-01"),
+    ):
+        words = words_of_run(sequence, tiny_model, output, ["--overwrite"])
+        refuse(words, capsys, f"{output}: is read, and would be written to")
+
+
+def test_a_request_depends_on_the_images_that_a_list_names(tiny_model, tmp_path):
+    scene, model = make_7scenes(tmp_path / "scene", num_images=2), load_model(str(tiny_model), RunConfig())
+    (split := scene / "TestSplit.txt").write_text("sequence1\n")
+    before = request_of(split, model, RunConfig(), None)
+    assert request_of(split, model, RunConfig(), None) == before
+    with (scene / "seq-01" / "frame-000001.color.png").open("ab") as file:
+        file.write(b"more")
+    assert request_of(split, model, RunConfig(), None) != before
+
+
+def test_a_folder_whose_name_ends_like_a_part_is_a_folder(scene, tiny_model, tmp_path):
+    named = scene.rename(tmp_path / "sc@1:2")
+    assert len(list(open_sequences([named])[named.name])) == 8
+    assert main(words_of_run(named, tiny_model, tmp_path / "out", ["--odometry", "none"])) == 0
+    assert report_of(tmp_path / "out")["frames"] == 8
 
 
 def test_images_that_were_trained_on_are_said(scene, tmp_path, capsys):

@@ -8,8 +8,9 @@ import pytest
 from filtering.se3 import Poses
 from sequences.frame import Camera
 from sequences.reading.counts import ImageCounts
-from tests.helpers.simulated_run import simulated_record
+from tests.helpers.simulated_run import simulated_record, true_walk
 from vapor.cameras import AsTakenBy
+from vapor.pipeline.trained_images import said_of_trained_images
 from vapor.pipeline.unrecognised import why_unrecognised
 from vapor.reporting.calibration import too_sure_notices
 from vapor.reporting.next_steps import MOST_STEPS, next_steps
@@ -83,6 +84,11 @@ def few() -> str:
     return counts.warning
 
 
+def trained() -> str:
+    poses = true_walk(3)
+    return said_of_trained_images([poses[1], None], poses)
+
+
 @pytest.mark.parametrize(
     ("make", "action"),
     [
@@ -99,6 +105,7 @@ def few() -> str:
         (lambda: unrecognised(lambda image, camera: 3.0), "Check that the model is of this place"),
         (nowhere, "Check that the walk is in the place that the model, or the estimator, knows, and"),
         (few, "Mend the recording"),
+        (trained, "Judge by images that the model was not trained on"),
     ],
 )
 def test_what_a_notice_of_a_run_says_has_its_action(make, action):

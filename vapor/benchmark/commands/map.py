@@ -23,7 +23,7 @@ from sequences.mapping.map import map_images
 from sequences.options import SequenceOptions
 from vapor.benchmark import PROGRAM
 from vapor.benchmark.commands.options import SummaryPath, claim_summary, write_rows
-from vapor.commands.console import OutputPath, Overwrite, command_line, parse, show, show_notices, usage_error
+from vapor.commands.console import OutputPath, Overwrite, command_line, parse, show, show_notices
 from vapor.commands.progress import progress
 
 
@@ -67,8 +67,6 @@ class Errors:
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     o, command = parse("map", Options, arguments, PROGRAM), command_line("map", arguments, PROGRAM)
-    if not o.data:
-        usage_error("map", "no data, expected at least one recording or data set with true poses", PROGRAM)
     claim_summary(o.summary)
     begin_s = time.monotonic()
     with progress() as shown:

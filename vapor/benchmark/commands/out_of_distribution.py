@@ -15,6 +15,7 @@ from vapor.benchmark import PROGRAM
 from vapor.benchmark.commands.options import SummaryPath, claim_summary, write_rows
 from vapor.benchmark.ood_images import IN_A_ROW, evaluate_flags
 from vapor.commands.console import parse, show
+from vapor.commands.model_name import ModelName
 from vapor.commands.progress import progress
 from vapor.engines.engine import Device, EngineConfig
 from vapor.observation import VaporObservationModel
@@ -26,7 +27,7 @@ _MAX_SEED = 2**63
 class Options:
     """Count images of a place that are flagged as out of distribution, and others that are not."""
 
-    model: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="MODEL")]
+    model: tyro.conf.Positional[ModelName]
     """Model file, or name of a model that ships."""
     known: Annotated[tuple[str, ...], tyro.conf.arg(metavar="DATA ...")]
     """MCAP files or data set folders of its place that it was not trained on; PATH@START:STOP takes a part."""

@@ -19,6 +19,7 @@ from vapor.benchmark.commands.options import SummaryPath, claim_summary, require
 from vapor.benchmark.step_times import time_step
 from vapor.benchmark.untrained import untrained
 from vapor.commands.console import parse, show
+from vapor.commands.model_name import ModelName
 from vapor.engines.engine import Device, EngineConfig
 from vapor.observation import VaporObservationModel
 from vapor.threads import limited_threads
@@ -39,7 +40,7 @@ _WAYS: Mapping[_Way, EngineConfig] = {
 class Options:
     """Time the parts of a step: decoding, network, landmarks, filter."""
 
-    model: str = "staircase"
+    model: ModelName = "staircase"
     """Model file, or name of a model that ships with the package."""
     preset: Annotated[str | None, tyro.conf.arg(metavar=f"{{{','.join(PRESETS)}}}")] = None
     """Time the network of this preset of `train` instead, with random weights and without the filter."""

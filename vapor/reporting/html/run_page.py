@@ -8,7 +8,7 @@ from typing import Any
 
 from filtering.errors import listed
 from vapor.evaluation.trajectory import RIGHT, THRESHOLDS
-from vapor.reporting.calibration import calibration_table
+from vapor.reporting.calibration import LEAST_IMAGES, calibration_table
 from vapor.reporting.html.drawings import plan, reliability, status_strip
 from vapor.reporting.html.landmark_picture import landmark_caption, landmark_picture
 from vapor.reporting.html.page import Block, Page, code, folded, paragraph, picture, section, table
@@ -140,7 +140,8 @@ def _trust(report: Mapping[str, Any]) -> list[Block] | None:
     ]
     columns, rows = calibration_table(report)
     if not rows:
-        return [paragraph("It called no image converged, so there is no region to check."), *weights]
+        few = f"Fewer than {LEAST_IMAGES} images are converged: too few to say whether the stated regions are true."
+        return [paragraph(few), *weights]
     ours = [number for number, row in enumerate(rows) if row[0] == METHODS["filter"].label]
     return [
         table(columns, rows, "True poses in the stated regions", ours),

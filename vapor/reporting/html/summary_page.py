@@ -17,7 +17,7 @@ from vapor.checkpoints.checkpoint import ModelDescription
 from vapor.reporting.html.page import Block, Page, code, folded, paragraph, section, table
 from vapor.reporting.html.plans import Plans, dots, line
 from vapor.reporting.next_steps import MOST_STEPS, MOVE_ON
-from vapor.reporting.outcome import STATES, Outcome, total
+from vapor.reporting.outcome import STATES, Outcome, said_of_training, total
 from vapor.reporting.outline import Outline
 
 _WORDS: Mapping[str, str] = {
@@ -98,8 +98,9 @@ def _verdict(outcomes: Sequence[Outcome]) -> str:
     judged = [outcome for outcome in outcomes if outcome.success is not None]
     wrong = sum(outcome.images * outcome.states.get("wrong", 0.0) for outcome in judged)
     sure = wrong + sum(outcome.images * outcome.states.get("right", 0.0) for outcome in judged)
-    words = f"{', '.join(parts)}."
-    return f"{words} Of {round(sure)} images that it called converged {round(wrong)} are wrong." if sure else words
+    words = [f"{', '.join(parts)}.", *filter(None, [said_of_training(outcomes)])]
+    words += [f"Of {round(sure)} images that it called converged {round(wrong)} are wrong."] if sure else []
+    return " ".join(words)
 
 
 def _positions(outcome: Outcome, states: Collection[str]) -> Float64[np.ndarray, "k 3"]:
@@ -257,7 +258,7 @@ def _recordings(outcomes: Sequence[Outcome]) -> list[Block]:
         error = "" if off is None else f"{off:.2f} m  {outcome.median_rotation_deg:.1f}°"
         row = [
             outcome.name,
-            "yes" if outcome.went_well else "no",
+            f"{'yes' if outcome.went_well else 'no'}{', trained on' if outcome.trained_on else ''}",
             str(outcome.images),
             *parts,
             str(outcome.final_status),

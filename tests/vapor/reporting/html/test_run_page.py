@@ -10,6 +10,7 @@ import pytest
 from filtering.storeys import Storeys
 from tests.helpers.pages import ReadPage
 from tests.helpers.simulated_run import simulated_record
+from vapor.reporting.calibration import format_calibration
 from vapor.reporting.html.run_page import run_page, verdict
 from vapor.reporting.record import Moment
 from vapor.reporting.report import build_report
@@ -51,6 +52,22 @@ def test_calibration_is_shown_of_the_filter_and_of_smoothed_poses(record):
     assert cells[row + 7 : row + 14] == ["smoothed", "140", "20.0 %", "42.0 %", "55.0 %", "11.30", "0.0 %"]
     assert cells[cells.index("carried off, in hindsight, after") + 1] == "1.0 s, 2.5 s and 9.0 s"
     assert cells[row + 14 : row + 21] == ["expected", "", "50 %", "90 %", "95 %", "5.35", "0 %"]
+
+
+def test_calibration_is_shown_of_fifty_images_and_more(record):
+    few = {"images": 49, "wrong": 1.0, "coverage": {"50%": 0.0, "90%": 0.0, "95%": 0.0}, "median_nees": 30.0}
+    report = build_report(record) | {"hindsight": {"ambiguous": 0, "carried_off_s": [], "consistency": few}}
+    cells = ReadPage.of(run_page(record, report, title="walk.mcap", settings=SETTINGS).html()).cells
+    row = cells.index("smoothed", cells.index("median\nNEES"))
+    assert cells[row + 1 : row + 7] == ["49", "", "", "", "", ""]
+    assert format_calibration(report) is not None
+    report["consistency"] = few
+    page = ReadPage.of(run_page(record, report, title="walk.mcap", settings=SETTINGS).html())
+    assert "Fewer than 50 images are converged" in page.words
+    assert "median\nNEES" not in page.cells
+    assert format_calibration(report) is None
+    report["consistency"] = {**few, "images": 50}
+    assert format_calibration(report) is not None
 
 
 def test_what_was_asked_and_how_it_was_made_are_said(record):

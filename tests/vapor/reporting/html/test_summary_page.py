@@ -9,6 +9,7 @@ import pytest
 
 from filtering.storeys import Storeys
 from tests.helpers.pages import ReadPage
+from vapor.commands.run import show_outcomes
 from vapor.reporting.html.page import write_page
 from vapor.reporting.html.summary_page import Site, summary_page
 from vapor.reporting.outcome import Outcome, Visited
@@ -55,6 +56,22 @@ def test_the_verdict_counts_what_went_well_what_did_not_and_what_was_not_localiz
     assert "Of 21 images that it called converged 10 are wrong." in words
     assert "cut.mcap: truncated <here>" in words
     assert "are not done" not in words
+
+
+def test_recordings_with_images_of_the_training_are_named_on_the_page_and_in_the_last_lines(tmp_path, capsys):
+    (found, notice) = FLEET[0], "4 of 10 images were trained on: the model remembers them"
+    fleet = [replace(found, name="seen", notices=(notice,)), replace(found, name="new"), FLEET[1]]
+    page = ReadPage.of(page_of(fleet))
+    assert "2 of 3 recordings went well, 1 did not. The model was trained on images of 1 of these: seen." in page.words
+    assert "seenyes, trained on10" in page.words
+    assert "newyes10" in page.words
+    assert "trained on" not in page_of(fleet[1:])
+    show_outcomes(fleet, tmp_path)
+    *_, closing, _, said = capsys.readouterr().out.splitlines()
+    assert closing.endswith("; success in 2 of 3")
+    assert said == "The model was trained on images of 1 of these: seen."
+    show_outcomes(fleet[1:], tmp_path)
+    assert "trained on" not in capsys.readouterr().out
 
 
 def test_recordings_are_listed_from_the_worst_and_lead_to_their_reports():
