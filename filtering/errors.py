@@ -96,6 +96,11 @@ def listed(items: Iterable[object], most: int, separator: str = ", ", *, others:
     return f"{separator.strip(', ')} and ".join(ends)
 
 
+def counted(number: int, noun: str) -> str:
+    """How many there are, in words: "1 image", "2 images"; the noun is a singular whose plural ends in s."""
+    return f"{number} {noun}{'s' * (number != 1)}"
+
+
 def quoted(value: object) -> str:
     """A value that was found in an input, as a message shows it: on one line, in 60 characters or fewer."""
     return shortened(_Short().repr(value), _MAX_QUOTED)

@@ -12,12 +12,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import UInt8
 
-from filtering.errors import VaporTrackError
+from filtering.errors import VaporTrackError, counted
 from filtering.se3 import Poses
 from sequences.datasets.layout import PosedImages
 from sequences.datasets.layout_helpers.image_files import decoded_file, find_camera, images_in, size_of_first
 from sequences.datasets.layout_helpers.packed import VIDEO_SUFFIXES, VideoFile
-from sequences.datasets.listing import clipped, found_images, is_recording, list_images, none_among
+from sequences.datasets.listing import clipped, found_images, is_recording, list_images, none_among, what_is_there
 from sequences.errors import SequenceError
 from sequences.files import Rows
 from sequences.frame import ASSUMED_HZ, Camera, Frame
@@ -123,9 +123,7 @@ class ImageSequence:
             self.has_stamps, self.num_images = self._posed.assumed_hz is None, len(self._posed)
         elif self.path.is_dir():
             if not self._files:
-                raise SequenceError(
-                    f"{path}: no images, expected PNG or JPEG files, a data set or a recording in the folder"
-                )
+                raise SequenceError(f"{path}: {what_is_there(self.path, images=True)}")
             lens = self._find_lens(self.path, size_of_first(self._files))
             self.num_images = len(self._files)
         else:
@@ -228,12 +226,12 @@ class ImageSequence:
             )
         if num_unlike:
             self.notices.append(
-                f"{num_unlike} images are of another aspect ratio than the first: their intrinsics are unknown"
+                f"intrinsics of {counted(num_unlike, 'image')} of another aspect ratio than the first are unknown"
             )
         if whole and self.counts.read < _READABLE * self.num_images:
             self.notices.append(
-                f"the video states {self.num_images} frames, and {self.counts.read} could be read: it is damaged or cut"
-                " off"
+                f"the video states {counted(self.num_images, 'frame')}, and {self.counts.read} could be read: it is"
+                " damaged or cut off"
             )
 
     def _undistorted(self, image: _Image, lens: Camera | Lens | None) -> tuple[_Image, Camera | None]:

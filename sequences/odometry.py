@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from filtering.errors import require_within
+from filtering.errors import counted, require_within
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
 
@@ -83,7 +83,9 @@ def simulate_odometry(
         SequenceError: stamps do not increase, or are not as many as the poses.
     """
     if len(times_ns) != len(world_from_base):
-        raise SequenceError(f"odometry: {len(times_ns)} stamps for {len(world_from_base)} poses, expected as many")
+        raise SequenceError(
+            f"odometry: {counted(len(times_ns), 'stamp')} for {counted(len(world_from_base), 'pose')}, expected as many"
+        )
     if len(times_ns) and (np.diff(times_ns) <= 0).any():
         at = int(np.argmax(np.diff(times_ns) <= 0)) + 1
         raise SequenceError(f"odometry: stamp {times_ns[at]} ns follows {times_ns[at - 1]} ns, expected to increase")

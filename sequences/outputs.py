@@ -110,6 +110,26 @@ def own_manifest(directory: Path) -> dict[str, Any] | None:
         return None
 
 
+def listed_results(directory: Path) -> frozenset[str]:
+    """Names of the files and folders that the manifest of a folder lists; none where there is none of ours."""
+    manifest = own_manifest(directory)
+    return frozenset() if manifest is None else frozenset(manifest["files"] or ())
+
+
+def refuse_results(directory: Path, expected: str, *, overwrite: bool = False) -> None:
+    """Raise SequenceError where a folder has results that `results_folder` or `claim_folder` made.
+
+    For a command that gives a folder of results to each of several things: beside those of one they would mix. The
+    message has what is `expected` instead. `overwrite` takes any folder.
+    """
+    if own_manifest(directory) is not None and not overwrite:
+        names = sorted(name for name in os.listdir(directory) if not is_workspace(name))
+        raise SequenceError(
+            f"{directory}: {short_list(names)}, expected an empty folder or {expected}; --overwrite replaces files of"
+            " the results' names only"
+        )
+
+
 def write_manifest(directory: Path, command: str, files: Mapping[str, Listed] | None) -> None:
     """Write the manifest of a folder, with its files by name; None where the folder grows."""
     manifest = {
@@ -236,7 +256,7 @@ def require_replaceable(
         unexpected = unexpected_files(directory, reads)
         if unexpected and not overwrite:
             raise SequenceError(
-                f"{given}: {short_list([*unexpected.values()])}, expected an empty folder or unchanged results;"
+                f"{given}: {short_list([*unexpected.values()])}, expected an empty folder or unchanged results alone;"
                 " --overwrite replaces files of the results' names only"
             )
         _refuse_lost(directory, unexpected, reads, writes)

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float64, UInt8
 
+from filtering.errors import counted
 from sequences.frame import Camera
 from sequences.images.undistortion import same_aspect, undistorted
 from vapor.images import cover_size
@@ -67,8 +68,8 @@ class AsTakenBy:
         if self.camera is None:
             return []
         found = [
-            f"{count} images of {width} x {height} pixels from a camera of unknown intrinsics: their middle is used,"
-            f" but the camera learned with is {described(self.camera)}"
+            f"{counted(count, 'image')} of {width} x {height} pixels from a camera of unknown intrinsics: their middle"
+            f" is used, but the camera learned with is {described(self.camera)}"
             for (width, height), count in self._aspects.items()
         ]
         narrowest = min(self._fractions, key=self._fractions.__getitem__, default=None)

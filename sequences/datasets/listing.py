@@ -10,13 +10,17 @@ from functools import cache
 from importlib import import_module
 from pathlib import Path
 
+from filtering.errors import listed
 from sequences.datasets import layouts
 from sequences.datasets.layout import INTRINSICS_LEVELS, Layout, PosedImages
 from sequences.datasets.layout_helpers.image_files import images_in
 from sequences.datasets.layout_helpers.packed import VIDEO_SUFFIXES, PackedImage
 from sequences.errors import SequenceError
 from sequences.files import unused_part
+from sequences.outputs import own_manifest
 from sequences.recordings.recording_file import SUFFIXES
+
+_NAMED = 3  # recordings and data sets in a folder, in an error
 
 
 @cache
@@ -40,7 +44,7 @@ def list_images(path: Path) -> PosedImages:
     path = Path(path)
     images = found_images(path)
     if images is None:
-        raise SequenceError(f"{path}: {_what_is_there(path)}")
+        raise SequenceError(f"{path}: {what_is_there(path)}")
     if not len(images):
         raise SequenceError(f"{path}: no image with a true pose: {dict(images.skipped)}; expected at least one")
     return images
@@ -103,20 +107,34 @@ def files_read(path: Path) -> Iterator[Path]:
         yield from {file.parent for file in files if not isinstance(file, PackedImage)}
 
 
-def _what_is_there(path: Path) -> str:
+def require_recording(path: Path) -> None:
+    """Raise SequenceError where a folder is no rosbag2 folder; the message has what was looked for beside images."""
+    if path.is_dir() and not is_recording(path):
+        raise SequenceError(f"{path}: {what_is_there(path, images=True)}")
+
+
+def what_is_there(path: Path, *, images: bool = False) -> str:
+    """What a path has that can be neither trained on nor, where images alone would do, localized: part of an error."""
     no_poses = f"images without true poses (`vapor-track map {shlex.quote(str(path))} --output place/` makes them)"
     if _is_video(path):
         return no_poses
     if path.is_file():
         return "is a file, expected the folder of a data set or the list of a split"
-    if any(path.glob("*.mcap")):
-        return "has .mcap files and no metadata.yaml, expected them one by one (`ros2 bag reindex` writes one)"
+    found = "no sequence or data set" if path.exists() else f"no such folder or file{unused_part(path)}"
+    if (results := own_manifest(path)) is not None:
+        return f"{found}, but results of `{results['command']}`; expected what they were made from"
     names = dict.fromkeys(name for layout in find_layouts() for name in layout.splits)
     folders_first = sorted(names, key=lambda name: "." in name)
     if splits := [name for name in folders_first if (path / name).exists()]:
-        return f"no sequence or data set, perhaps its {' or '.join(splits)} is meant"
-    looked_for = f"looked for an .mcap file, metadata.yaml, {', '.join(layout.looked_for for layout in find_layouts())}"
-    found = "no sequence or data set" if path.exists() else f"no such folder or file{unused_part(path)}"
+        return f"{found}, perhaps its {' or '.join(splits)} is meant"
+    if inside := _found_inside(path):
+        pieces = sum(each.suffix in SUFFIXES for each in inside) > 1
+        reindexed = " (where they are pieces of one recording, `ros2 bag reindex` writes its metadata.yaml)" * pieces
+        return f"{found} itself; expected what is in it: {listed((each.name for each in inside), _NAMED)}{reindexed}"
+    looked_for = (
+        f"looked for {'a video, PNG or JPEG images, ' * images}{', '.join(SUFFIXES)}, metadata.yaml,"
+        f" {', '.join(layout.looked_for for layout in find_layouts())}"
+    )
     if not images_in(path):
         return f"{found}; {looked_for}"
     above = path.parent if path.parent.name else path.absolute().parent
@@ -124,6 +142,23 @@ def _what_is_there(path: Path) -> str:
         if is_data_set(above):
             return f"images of a data set, expected its folder, which has their true poses: {above}"
     return f"{no_poses}; {looked_for}"
+
+
+def _found_inside(folder: Path) -> list[Path]:
+    """Recordings and data sets directly in a folder; none where there is no such folder."""
+    with suppress(OSError):
+        entries = sorted(entry for entry in folder.iterdir() if not entry.name.startswith("."))
+        return [entry for entry in entries if _is_sequence(entry)]
+    return []
+
+
+def _is_sequence(path: Path) -> bool:
+    if path.is_file():
+        return path.suffix in SUFFIXES
+    try:
+        return is_recording(path) or is_data_set(path)
+    except SequenceError:  # a damaged one
+        return True
 
 
 def is_recording(path: Path) -> bool:

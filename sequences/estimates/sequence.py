@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float64, Int64, Shaped
 
-from filtering.errors import quoted
+from filtering.errors import counted, quoted
 from filtering.motion import MotionNoise, Odometry, WhiteNoise
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
@@ -314,7 +314,8 @@ def _require_common(file: PoseFile, other: PoseFile) -> None:
     if file.timed or not {frame.sequence for frame in file.frames}.isdisjoint(frame.sequence for frame in other.frames):
         return
     one, two = (
-        f"{len(set(each.frames))} names such as {quoted(each.frames[0].sequence + str(each.frames[0].number))}"
+        f"{counted(len(set(each.frames)), 'name')} such as"
+        f" {quoted(each.frames[0].sequence + str(each.frames[0].number))}"
         for each in (file, other)
     )
     raise SequenceError(

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64, Int64
 
+from filtering.errors import counted
 from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.inertial.rows import TimedRows
@@ -267,4 +268,6 @@ class LiftRides:
         if not self.num_motions:
             return []
         changes = ", ".join(f"{ride.heights_m[-1]:+.1f} m" for ride in self.rides[:10])
-        return [f"the barometer shows {len(self.rides)} rides ({changes}), which odometry that stands still gets"]
+        return [
+            f"the barometer shows {counted(len(self.rides), 'ride')} ({changes}), which odometry that stands still gets"
+        ]

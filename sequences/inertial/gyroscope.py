@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float64
 
+from filtering.errors import counted
 from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.inertial.rows import TimedRows
@@ -166,7 +167,7 @@ class GyroscopeFusion:
             ]
         if self.num_alone:
             notices.append(
-                f"{self.num_alone} motions without odometry turn as the gyroscope does; how far they went is unknown"
+                f"only the turns are known of {counted(self.num_alone, 'motion')} without odometry, by the gyroscope"
             )
         return notices
 

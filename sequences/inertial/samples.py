@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
+from filtering.errors import counted
 from filtering.so3 import rotation_from_quat_xyzw
 from sequences.inertial.rows import TimedRows
 
@@ -131,10 +132,12 @@ class InertialUnit:
         """Sentences for users, by the messages so far."""
         notices = []
         if self.num_left_out:
-            notices.append(f"{self.num_left_out} messages of {self.name} are unusable, or not later than those before")
+            notices.append(
+                f"unusable, or not later than those before: {counted(self.num_left_out, 'message')} of {self.name}"
+            )
         notices += self._said
         if self.num_saturated:
-            notices.append(f"{self.name}: {self.num_saturated} samples are saturated, and not used")
+            notices.append(f"{self.name}: {counted(self.num_saturated, 'sample')} saturated, and not used")
         return notices
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from filtering.errors import listed
+from filtering.errors import counted, listed
 from sequences.errors import NotFoundError, SequenceError
 from sequences.inertial.barometer import Barometer, Ride
 from sequences.inertial.samples import InertialSamples, InertialUnit
@@ -131,7 +131,7 @@ def read_inertial(path: Path, options: SequenceOptions) -> tuple[InertialSamples
     samples = unit.samples()
     notices += unit.notices
     if samples is None:
-        notices.append(f"{unit.name}: {unit.num_taken} messages can be used, expected at least {_FEWEST}")
+        notices.append(f"{unit.name}: {counted(unit.num_taken, 'message')} can be used, expected at least {_FEWEST}")
     return samples, notices
 
 
@@ -153,6 +153,8 @@ def read_rides(path: Path, options: SequenceOptions) -> tuple[list[Ride], list[s
         if dated.message is not None and dated.stamps_ns:
             barometer.take(dated.stamps_ns[0][1], float(dated.message.fluid_pressure))
     if barometer.num_used < _FEWEST:
-        return [], [f"{barometer.name}: {barometer.num_used} messages can be used, expected at least {_FEWEST}"]
+        return [], [
+            f"{barometer.name}: {counted(barometer.num_used, 'message')} can be used, expected at least {_FEWEST}"
+        ]
     rides = barometer.rides()
     return rides, barometer.notices

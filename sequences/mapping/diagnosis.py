@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterator, Sequence
 import numpy as np
 from jaxtyping import Bool
 
-from filtering.errors import listed
+from filtering.errors import counted, listed
 from sequences.mapping.colmap import LEAST, Match, Reconstructed
 from sequences.mapping.walks import Walk
 
@@ -64,7 +64,7 @@ def what_is_missing(
         of_walk = placed[begin : begin + len(walk.pictures)]
         if not of_walk.any():
             why = _unconnected(begin, of_walk, placed, matches)
-            yield f"{walk.name}: none of its {len(of_walk)} images is placed: {why}"
+            yield f"{walk.name}: none of its {counted(len(of_walk), 'image')} is placed: {why}"
         elif not of_walk.all():
             spans = _spans(walk, ~of_walk)
             yield f"{walk.name}: {(~of_walk).sum()} of {len(of_walk)} images are not placed: {spans}"
@@ -85,7 +85,7 @@ def _unconnected(
     links = sum((m.first in own) != (m.second in own) and (placed[m.first] or placed[m.second]) for m in matches)
     if not links:
         return "nothing in it was recognised in the other walks; expected walks over the same ground"
-    return f"{links} pairs with placed images look alike, too few"
+    return f"too few pairs with placed images look alike: {links}"
 
 
 def _cuts(walk: Walk, begin: int, placed: Bool[np.ndarray, " k"], matches: Sequence[Match]) -> Iterator[str]:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float64
 
+from filtering.errors import counted
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.mapping.alignment import Scale, find_scale, require_moments, upright
@@ -95,7 +96,7 @@ def map_images(
         )
         total = sum(len(walk.pictures) for walk in walks)
         if total < LEAST:
-            raise SequenceError(f"{_names(inputs)}: {total} images, expected at least {LEAST}")
+            raise SequenceError(f"{_names(inputs)}: {counted(total, 'image')}, expected at least {LEAST}")
         require_moments(walks, config)
         work.mkdir()
         found = reconstruct(walks, images, work, progress)

@@ -16,7 +16,7 @@ from jaxtyping import UInt8
 
 from filtering.se3 import Poses
 from sequences.datasets.frames import PosedFrames, posed_frames
-from sequences.datasets.listing import is_data_set, list_images
+from sequences.datasets.listing import is_data_set, list_images, require_recording
 from sequences.errors import SequenceError
 from sequences.frame import Camera, Frame
 from sequences.image_sequence import ImageSequence, is_image_sequence
@@ -130,6 +130,7 @@ def _opened(path: Path, reading: SequenceOptions | None) -> tuple[ImageSequence 
     if is_image_sequence(path):
         images = ImageSequence(path, reading)
         return images, images.has_stamps
+    require_recording(path)
     reader = SequenceReader(path, reading, odometry="optional")
     if len(reader.camera_names) > 1:  # one of several is enough, and its motion is that of the odometry
         reader = SequenceReader(path, reading, odometry="optional", only_camera=reader.localized_camera)

@@ -60,7 +60,8 @@ class ImageCounts:
             return None
         lost = Counter({reason: number for reason, number in self.skipped.items() if reason not in _NOT_ASKED})
         ((reason, number),) = lost.most_common(1)
-        return f"Only {self.used} of {self._asked} images were used: {number} were skipped: {reason}."
+        lost_are = f"{number} was" if number == 1 else f"{number} were"
+        return f"Only {self.used} of {self._asked} images were used: {lost_are} skipped: {reason}."
 
     def taken(self, number: int) -> ImageCounts:
         """The same where only so many frames were taken, and no others asked for."""

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from filtering.errors import counted
 from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
@@ -170,8 +171,8 @@ class MotionOfCamera:
         if first_ns is None:
             return []
         return [
-            f"true poses of {self._roles.truth.label} jump {number} times, first at {first_ns * 1e-9:.3f} s:"
-            f" {self.across_jumps} images between have none"
+            f"true poses of {self._roles.truth.label} jump {counted(number, 'time')}, first at {first_ns * 1e-9:.3f} s:"
+            f" none for {counted(self.across_jumps, 'image')} between"
         ]
 
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
-from filtering.errors import VaporTrackError
+from filtering.errors import VaporTrackError, counted
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.files import Rows
@@ -249,7 +249,7 @@ def read_path(bag: MessageSource, topic: Topic) -> tuple[Trajectory, Rows]:
     rows.require_few()
     if len(times_ns) < 2:
         raise SequenceError(
-            f"{bag.path}: {topic.name}: {len(times_ns)} poses at stamps of their own, expected at least two whose"
-            " stamps increase"
+            f"{bag.path}: {topic.name}: {counted(len(times_ns), 'pose')} at stamps of their own, expected at least two"
+            " whose stamps increase"
         )
     return Trajectory(np.array(times_ns, np.int64), Poses.stack(poses)), rows

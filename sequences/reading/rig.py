@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
+from filtering.errors import few
 from filtering.se3 import Poses
 from sequences.errors import NotFoundError, SequenceError
 from sequences.images.decoding import decode_compressed_image, decode_image
@@ -25,6 +26,7 @@ _IMAGE_STREAMS: dict[str, Callable[[], ImageStream]] = {
 IMAGE_TYPES = tuple(_IMAGE_STREAMS)
 _INFO_TYPES = ("sensor_msgs/CameraInfo",)
 _TRANSPORTS = ("compressed", "ffmpeg", "foxglove")  # by the habit of image_transport, the last part of a topic's name
+_NAMED = 3  # cameras to choose from, in an error
 _DEPTH, _GREY = ("16uc1", "32fc1", "64fc1"), ("mono", "8uc1")  # how encodings begin
 
 
@@ -123,10 +125,10 @@ def _of_one_kind(bag: MessageSource, images: Sequence[Topic]) -> tuple[list[Topi
             )
         if apart:
             ends = f"{frames[kept[0].name]!r} ({kept[0].name}) and {frames.get(apart[0].name, '')!r} ({apart[0].name})"
+            choices = " or ".join(few((f"--image-topic {each.name}" for each in kept), _NAMED))
             raise SequenceError(
                 f"{bag.path}: {len(kept)} image topics, and no transforms between {ends}; expected one camera, or"
-                f" several that tf connects; name one, or several separated by commas, by --image-topic;"
-                f" {listing(kept)}"
+                f" several that tf connects, separated by commas: {choices}"
             )
     notices = []
     for image in (each for each in images if each not in kept):

@@ -71,7 +71,9 @@ class Roles:
                 mount = self._find_odometry(mount)
             except SequenceError as error:
                 if self.odometry_required and not (odometry == "auto" and isinstance(error, NoOdometryError)):
-                    raise
+                    if odometry == "required":
+                        raise
+                    raise type(error)(f"{error}; --odometry visual makes odometry from the images instead") from error
                 if odometry == "auto":
                     other = other_than(bag, options.ground_truth_topic, (ODOMETRY_TYPE,))
                     self.no_odometry = (

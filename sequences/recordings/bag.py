@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from filtering.errors import listed, quoted
+from filtering.errors import counted, listed, quoted
 from sequences.errors import SequenceError
 from sequences.files import read_yaml, require_inside, unused_part
 from sequences.recordings.mcap_file import LatestChunks, McapFile
@@ -99,8 +99,8 @@ class Bag:
         if stated != found:
             beside = f"; beside them lies {listing.unlisted_names}" if listing.unlisted else ""
             raise SequenceError(
-                f"{listing.path}: {what}: the files that it lists have {found} messages, expected the {stated} that it"
-                f" states{beside} (`ros2 bag reindex` writes it again)"
+                f"{listing.path}: {what}: the files that it lists have {counted(found, 'message')}, expected"
+                f" the {stated} that it states{beside} (`ros2 bag reindex` writes it again)"
             )
         return listing.notices
 

@@ -14,6 +14,7 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, ClassVar, NamedTuple, cast
 
+from filtering.errors import counted
 from sequences.errors import SequenceError
 
 if TYPE_CHECKING:
@@ -79,8 +80,8 @@ class RecordingFile(ABC):
         for id in sorted(asked):
             if found[id] != self.counts[id]:
                 raise SequenceError(
-                    f"{self.path}: {self.channels[id].topic}: {found[id]} messages found where the file states"
-                    f" {self.counts[id]}: it is damaged; expected all of them ({self.rescue})"
+                    f"{self.path}: {self.channels[id].topic}: {counted(found[id], 'message')} found where the file"
+                    f" states {self.counts[id]}: it is damaged; expected all of them ({self.rescue})"
                 )
 
     @abstractmethod

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from difflib import get_close_matches
 from itertools import accumulate
 from pathlib import Path
 from types import SimpleNamespace
@@ -188,13 +189,15 @@ def choose(
     `besides` has another role, and is not found. Raises SequenceError for one of another type or encoding and for
     several, and NotFoundError for none.
     """
-    others = f" or {len(types) - 2} others" if len(types) > 2 else ""
-    option, expected = f"--{role}-topic", " or ".join(types[:2]) + others
+    option, expected = f"--{role}-topic", " or ".join(filter(None, [", ".join(types[:-1]), types[-1]]))
     if name == "" and not required:
         return None
     if name:
         if name not in bag.topics:
-            raise NotFoundError(f"{bag.path}: no topic {name} ({option}); {listing(bag.topics.values())}")
+            fitting_first = sorted(bag.topics.values(), key=lambda topic: topic.read_as not in types)
+            near = get_close_matches(name, [topic.name for topic in fitting_first if topic.read_as in types], 1)
+            meant = f"; did you mean {near[0]}?" if near else ""
+            raise NotFoundError(f"{bag.path}: no topic {name} ({option}); {listing(fitting_first)}{meant}")
         chosen = bag.topics[name]
         if chosen.read_as not in types:
             raise SequenceError(f"{bag.path}: {name} is {chosen.type}, expected {expected} for {option}")
@@ -204,8 +207,9 @@ def choose(
         if not candidates and not required:
             return None
         if not candidates:
+            without = ", so no images;" if role == "image" else ","
             raise NotFoundError(
-                f"{bag.path}: no{other_than(bag, besides, types)} {role} topic, expected one of type"
+                f"{bag.path}: no{other_than(bag, besides, types)} {role} topic{without} expected one of type"
                 f" {expected}{several_robots(bag)}; {listing(known)}"
             )
         if len(candidates) > 1:
@@ -236,7 +240,7 @@ def several_robots(bag: MessageSource) -> str:
 
 def listing(topics: Iterable[Topic]) -> str:
     """Topics with their types, for errors: as many as fit, and the number of others."""
-    found = [f"{topic.name} ({topic.type})" for topic in topics]
+    found = [f"{topic.name} ({topic.type}{', empty' * (not topic.num_messages)})" for topic in topics]
     fitting = [text for text, end in zip(found, accumulate(map(len, found)), strict=True) if end <= _LISTED]
     return f"found {listed(found, len(fitting))}" if found else "found no topics"
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
-from filtering.errors import quoted
+from filtering.errors import counted, quoted
 from filtering.se3 import Poses
 from filtering.so3 import nearest_rotation
 from sequences.errors import SequenceError
@@ -101,7 +101,9 @@ def _read_kitti(path: Path, lines: list[tuple[int, str]], rows: Rows) -> Traject
         raise SequenceError(f"{times}: no such file, expected the times of {path.name}")
     stamped = list(read_rows(times))
     if len(stamped) != len(lines):
-        raise SequenceError(f"{times}: {len(stamped)} times, expected {len(lines)} as there are poses in {path.name}")
+        raise SequenceError(
+            f"{times}: {counted(len(stamped), 'time')}, expected {len(lines)} as there are poses in {path.name}"
+        )
     times_ns = [parse_time_ns(line, f"{times}:{number}") for number, line in stamped]
     for (number, _), before, after in zip(stamped[1:], times_ns, times_ns[1:], strict=False):
         if after <= before:

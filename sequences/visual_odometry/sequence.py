@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from filtering.errors import counted
 from sequences.frame import Camera, Frame
 from sequences.frame_source import ChangedSequence, FrameSource
 from sequences.options import OdometryOrigin
@@ -76,8 +77,7 @@ class VisualSequence(ChangedSequence):
         """Those of the other sequence, and where the motion was unknown or disputed."""
         notices, visual = [*self._frames.notices], self._visual
         if visual.num_unknown:
-            count = visual.num_unknown
-            notices.append(f"before {count} image{'s' * (count != 1)} the images do not say how the camera moved")
+            notices.append(f"before {counted(visual.num_unknown, 'image')} the images do not say how the camera moved")
         return [*notices, *visual.disagreement]
 
     def __iter__(self) -> Iterator[Frame]:

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from filtering.errors import MAX_MESSAGE, VaporTrackError, few, listed, shortened
+from filtering.errors import MAX_MESSAGE, VaporTrackError, counted, few, listed, shortened
 
 _LONG = "no such thing, " * 25
 
@@ -17,6 +17,10 @@ def test_a_list_names_all_but_two_and_more_others():
     assert listed("abcd", 2) == "a, b and 2 more"
     assert listed(range(9), 2, "; ", others="more ranges") == "0; 1; and 7 more ranges"
     assert few("abcd", 2) == ["a", "b", "2 more"]
+
+
+def test_one_of_a_kind_is_no_plural():
+    assert [counted(number, "image") for number in (0, 1, 2)] == ["0 images", "1 image", "2 images"]
 
 
 @pytest.mark.parametrize(

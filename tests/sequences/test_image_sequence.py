@@ -155,7 +155,7 @@ def test_images_of_another_aspect_ratio_are_counted(tmp_path):
     cv2.imwrite(str(folder / "2.png"), pictures(1)[0, :, :50])
     sequence = ImageSequence(folder)
     assert [frame.camera is None for frame in sequence] == [False, True, False]
-    assert any("1 images are of another aspect ratio" in notice for notice in sequence.notices)
+    assert any("intrinsics of 1 image of another aspect ratio" in notice for notice in sequence.notices)
 
 
 def test_distortion_is_taken_out_unless_that_is_left_alone(clip):
@@ -192,7 +192,7 @@ def test_what_is_no_video_is_refused(tmp_path):
         ImageSequence(tmp_path / "walk.mp4")
     with pytest.raises(SequenceError, match=r"none\.mp4: no such file, expected a video"):
         ImageSequence(tmp_path / "none.mp4")
-    with pytest.raises(SequenceError, match="no images, expected PNG or JPEG"):
+    with pytest.raises(SequenceError, match="no sequence or data set; looked for a video, PNG or JPEG"):
         ImageSequence(tmp_path)
     (tmp_path / "notes.txt").write_text("bread\n")
     with pytest.raises(SequenceError, match=r"notes\.txt: is a file, expected the folder of a data set or the list"):

@@ -48,7 +48,7 @@ from vapor.reporting.html.page import Page, findings_page, write_page
 from vapor.reporting.record import EvenlySpaced
 from vapor.reporting.report import write_report
 from vapor.reporting.rerun_shapes import SMALL_SIDE, Photograph
-from vapor.training_data.entries import files_read, name_entries
+from vapor.training_data.entries import as_entry, files_read, name_entries
 
 _MAP, _RECORDING, _REPORT, _PAGE = "map.png", "recording.rrd", "report.json", "report.html"
 _MOST_PHOTOGRAPHS = 150  # Rerun keeps each apart, and of more in one place all are selected
@@ -130,7 +130,7 @@ def _page(found: Inspection, o: Options, picture: Path, command: str) -> Page:
     seen = [("From above", [picture])] if found.coverage is not None else []
     asked = "Was it recorded well enough to train on, and what to record again?"
     to_do = [("What to do", _points(found))]
-    title = ", ".join(Path(entry).name for entry in o.data)
+    title = ", ".join(as_entry(entry).name for entry in o.data)
     return findings_page(
         shortened(title, 100), asked, f"{found.verdict.answer}.", [*to_do, *seen, *found_parts], command=command
     )

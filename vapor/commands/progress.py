@@ -67,7 +67,7 @@ class Progress:
     """Progress of stages, one after the other; call it with the number done and of all."""
 
     def __init__(self, name: str, unit: str, console: Console, clock: Callable[[], float] = monotonic) -> None:
-        """Begin a task that counts units (a plural), on the console of standard error; the clock gives seconds."""
+        """Begin a task that counts units (a plural in s), on the console of standard error; the clock gives seconds."""
         self._name, self._unit, self._console, self._clock = name, unit, console, clock
         self.at_terminal = console.is_interactive and console.file.isatty()
         self._stage, self._figures, self._done, self._total = name, "", 0, None
@@ -118,7 +118,8 @@ class Progress:
         if not self._done:
             return self._stage
         known = self._total is not None and not ended
-        parts = [f"{self._stage}: {self._done}{f' of {self._total}' if known else ''} {self._unit}".rstrip()]
+        unit = self._unit.removesuffix("s") if self._done == 1 and not known else self._unit
+        parts = [f"{self._stage}: {self._done}{f' of {self._total}' if known else ''} {unit}".rstrip()]
         if ended:
             parts[0] += f" in {duration(self._pace.seconds)}"
         elif self._total:
@@ -157,7 +158,7 @@ class Progress:
 
 @contextmanager
 def progress(name: str = "", unit: str = "images") -> Iterator[Progress]:
-    """Show the progress of a task, which may be named by its stages only, in units (a plural) on standard error.
+    """Show the progress of a task, which may be named by its stages only, in units (a plural in s) on standard error.
 
     At a terminal it is a line that changes, and goes after an error. In a log file it is a line every ten seconds and
     at the end.

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import tyro
 
-from filtering.errors import VaporTrackError, require_within, shortened
+from filtering.errors import VaporTrackError, counted, require_within, shortened
 from sequences.options import SequenceOptions
 from vapor.commands.console import (
     OutputPath,
@@ -33,6 +33,7 @@ from vapor.pipeline.run import run
 from vapor.reporting.calibration import format_calibration
 from vapor.reporting.outcome import Outcome, format_batch, said_of_training, total
 from vapor.reporting.report import format_table
+from vapor.training_data.entries import as_entry
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,7 @@ class Options:
     """Name of a model that ships with the package, or model file."""
     output: OutputPath
     """Directory for the results, new or with earlier ones; of several sequences it gets a folder each, and
-    summary.html and summary.json on all of them."""
+    summary.html and summary.json on all of them. Results of one sequence and of several share no directory."""
     overwrite: Overwrite = False
     workers: int = 1
     """Sequences at a time, each in a process of its own."""
@@ -81,7 +82,7 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def _run_one(options: Options, command: str) -> None:
-    (sequence,) = options.sequences
+    (sequence,) = map(as_entry, options.sequences)
     with progress("localizing") as advance:
         result = run(
             sequence,
@@ -105,10 +106,10 @@ def show_run(result: RunResult, output: Path, *, title: str, recording: bool, la
         if (calibration := format_calibration(report)) is not None:
             show(calibration)
     status = ", ".join(f"{100 * fraction:.0f} % {name}" for name, fraction in report["status"].items())
-    show(f"{report['frames']} images: {status}")
+    show(f"{counted(report['frames'], 'image')}: {status}")
     for name, each in report.get("cameras", {}).items():
         left_out = f", {each['left_out']} left out" if each["left_out"] else ""
-        show(f"camera     {name}: {each['images']} images{left_out}")
+        show(f"camera     {name}: {counted(each['images'], 'image')}{left_out}")
     if "verified" in report:
         show(f"landmarks  verify a place in {100 * report['verified']:.0f} % of the images")
     show(f"images     {count_images(report['images'])}")

@@ -22,7 +22,15 @@ from sequences.errors import SequenceError
 from sequences.files import read_json
 from sequences.image_sequence import is_image_sequence
 from sequences.options import SequenceOptions
-from sequences.outputs import Resolved, folder_to_write, own_manifest, refuse_other, require_replaceable, verify
+from sequences.outputs import (
+    Resolved,
+    folder_to_write,
+    own_manifest,
+    refuse_other,
+    refuse_results,
+    require_replaceable,
+    verify,
+)
 from sequences.recordings.recording_file import SUFFIXES
 from vapor.parallel import in_parallel
 from vapor.pipeline.config import RunConfig
@@ -34,6 +42,7 @@ from vapor.reporting.html.summary_page import Site, summary_page
 from vapor.reporting.outcome import Outcome, total
 from vapor.reporting.report import is_report
 from vapor.reporting.stored_run import StoredRun, read_run
+from vapor.training_data.entries import as_entry
 
 _FILES = (*SUFFIXES, *VIDEO_SUFFIXES)
 SUMMARY, PAGE = "summary.json", "summary.html"
@@ -56,7 +65,7 @@ def find_sequences(paths: Sequence[Path], output: Path) -> dict[str, Path]:
     once. A name is that of the file or folder, preceded by folders above it where others have it too.
     """
     found: dict[Path, Path] = {}
-    for path in paths:
+    for path in map(as_entry, paths):
         for sequence in _found_in(path, leave_out=output.absolute()) or [path]:
             found.setdefault(sequence.resolve(), sequence)
     return dict(zip(unique_names(list(found)), found.values(), strict=True))
@@ -148,7 +157,7 @@ def run_batch(
         VaporTrackError: unusable model, output, scheduler or workers; with the first sequence.
     """
     config = config or RunConfig()
-    folder_to_write(output)
+    refuse_results(folder_to_write(output), "earlier results of several sequences", overwrite=overwrite)
     loaded = load_model(model, config)
     reads = Resolved.of({path for sequence in sequences.values() for path in files_read(sequence, loaded, reading)})
     for name in sequences:

@@ -14,7 +14,7 @@ from filtering.errors import VaporTrackError
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from sequences.datasets import listing
-from sequences.datasets.listing import as_typed
+from sequences.datasets.listing import as_typed, require_recording
 from sequences.frame import Camera, Frame
 from sequences.frame_source import FrameSource, RestatedSequence
 from sequences.image_sequence import ImageSequence, is_image_sequence
@@ -44,7 +44,7 @@ from vapor.reporting.record import EvenlySpaced
 from vapor.reporting.report import is_placed, status_parts
 from vapor.reporting.rerun_place import Place
 from vapor.threads import limited_threads
-from vapor.training_data.entries import parse_entry
+from vapor.training_data.entries import as_entry, parse_entry
 from vapor.training_data.ground import describe_unshown
 from vapor.versions import version_of
 
@@ -91,7 +91,7 @@ def run(
         (25, 3)
         >>> stored = vapor.read_run("run/")  # the same again from the files
     """
-    sequence, output = Path(sequence), Path(output)
+    sequence, output = as_entry(sequence), Path(output)
     config = config or RunConfig()
     loaded = load_model(model, config) if isinstance(model, str) else model
     reads = files_read(sequence, loaded, reading)
@@ -229,6 +229,7 @@ def _open(sequence: Path, reading: SequenceOptions, config: RunConfig, cameras: 
     path, part = parse_entry(sequence)
     if not is_image_sequence(path):
         require_one_source(config.odometry, reading)
+        require_recording(path)
         return SequenceReader(sequence, reading, odometry=USES[config.odometry], usual_cameras=cameras)
     if config.odometry in ("recorded", "both"):
         raise VaporTrackError(

@@ -46,10 +46,15 @@ def name_entries(data: Sequence[Path | str]) -> dict[str, tuple[Path, slice]]:
     named: dict[str, tuple[Path, slice]] = {}
     for number, entry in enumerate(data):
         path, frames = parse_entry(entry)
-        parts = Path(str(entry)).parts[-2 if listing.is_list(path) else -1 :]  # lists of splits are all named alike
+        parts = as_entry(entry).parts[-2 if listing.is_list(path) else -1 :]  # lists of splits are all named alike
         name = "/".join(parts)
         named[name if name not in named else f"{name} ({number + 1})"] = path, frames
     return named
+
+
+def as_entry(entry: Path | str) -> Path:
+    """`PATH` or `PATH@START:STOP` without a slash before the @, as completion leaves one: its last part is its name."""
+    return Path(re.sub(r"(?<=[^/])/+(?=@\d*:\d*$)", "", str(entry)))
 
 
 def parse_entry(entry: Path | str) -> tuple[Path, slice]:

@@ -19,6 +19,7 @@ from sequences.frame import Camera
 from sequences.images.decoding import decode_image_bytes
 from sequences.images.headers import is_jpeg, is_png, stated_size
 from sequences.images.undistortion import DistortionModel, Lens
+from sequences.outputs import listed_results
 from sequences.values import parse_frame_number, parse_number
 
 _SUFFIXES = (".png", ".jpg", ".jpeg")
@@ -52,10 +53,15 @@ def size_of_first(files: Iterable[ImageFile]) -> tuple[int, int] | None:
 
 
 def images_in(folder: Path) -> list[Path]:
-    """PNG and JPEG files directly in a folder, in the order of their names; none where there is no such folder."""
+    """PNG and JPEG files directly in a folder, in the order of their names; none where there is no such folder.
+
+    Pictures that are results of a command, by the manifest of the folder, are left out.
+    """
     if not os.path.isdir(folder):  # Path.is_dir raises where a name is too long
         return []
-    return sorted(file for file in folder.iterdir() if file.suffix.lower() in _SUFFIXES and file.is_file())
+    images = [file for file in folder.iterdir() if file.suffix.lower() in _SUFFIXES and file.is_file()]
+    results = listed_results(folder) if images else ()
+    return sorted(file for file in images if file.name not in results)
 
 
 def images_in_first(folder: Path, subfolders: tuple[str, ...]) -> list[Path]:

@@ -11,9 +11,7 @@ from sequences.datasets import layouts
 from sequences.datasets.frames import posed_frames
 from sequences.datasets.listing import files_read, find_layouts, is_recording, list_images
 from sequences.errors import SequenceError
-from tests.helpers.data_sets import (
-    write_image,
-)
+from tests.helpers.data_sets import make_tum, write_image
 
 
 def test_a_folder_or_file_of_no_layout_is_told_what_was_looked_for(tmp_path: Path) -> None:
@@ -71,6 +69,22 @@ def test_a_new_layout_is_one_new_file(tmp_path: Path) -> None:
     (scan / "list.phone").write_text("")
     assert not is_recording(scan / "list.phone")
     assert scan in files_read(scan / "list.phone")
+
+
+def test_a_folder_of_recordings_and_data_sets_names_them(tmp_path: Path) -> None:
+    for name in ("desk", "hall"):
+        make_tum(tmp_path / name)
+    (tmp_path / "notes").mkdir()
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(SequenceError, match=r"no sequence or data set itself; expected what is in it: desk and hall$"):
+        list_images(tmp_path)
+    (tmp_path / "desk" / "groundtruth.txt").write_text("damaged")
+    (tmp_path / "walk.mcap").write_bytes(b"")
+    with pytest.raises(SequenceError, match=r"expected what is in it: desk, hall and walk\.mcap$"):
+        list_images(tmp_path)
+    (tmp_path / "other.bag").write_bytes(b"")
+    with pytest.raises(SequenceError, match=r"walk\.mcap \(where they are pieces of one recording, `ros2 bag reindex`"):
+        list_images(tmp_path)
 
 
 def test_layouts_are_not_imported_before_a_data_set_is_read() -> None:

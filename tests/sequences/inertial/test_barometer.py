@@ -280,7 +280,7 @@ def test_a_recorded_ride_is_part_of_the_odometry_of_its_frames(in_a_lift, unit):
         whole = whole if frame.odometry is None else whole.then(frame.odometry)
     risen = whole.previous_from_current.translation @ np.array(frame.gravity.up)
     assert risen == pytest.approx(3.0, abs=0.3)
-    assert any("the barometer shows 1 rides (+3.0 m)" in n or "(+2." in n for n in frames.notices)
+    assert any("the barometer shows 1 ride (+3.0 m)" in n or "(+2." in n for n in frames.notices)
 
 
 def test_a_pressure_of_another_unit_is_not_used_and_said(in_a_lift):

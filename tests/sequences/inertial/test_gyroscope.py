@@ -152,7 +152,7 @@ def test_without_odometry_the_turn_is_known_and_the_way_is_not():
     stated = np.sqrt(np.diag(found.covariance)[3:])
     assert (np.abs(error) < 3 * stated).all()
     assert stated.max() < 0.05
-    assert "1 motions without odometry turn as the gyroscope does" in fusion.notices[0]
+    assert "only the turns are known of 1 motion without odometry" in fusion.notices[0]
     blind = replace(samples, turn_rate=np.full_like(samples.turn_rate, np.nan))
     assert GyroscopeFusion(blind).step(BEGIN_NS, BEGIN_NS + FRAME_NS, None) is None
 

@@ -26,7 +26,7 @@ def test_a_topic_that_is_published_with_two_types_is_refused(raws: list[RawMessa
 
 def test_what_is_not_there_yet_is_named(raws: list[RawMessage]) -> None:
     for topic, said in [
-        (IMAGES, "no image topic, expected one of type sensor_msgs/Image"),
+        (IMAGES, "no image topic, so no images; expected one of type sensor_msgs/Image, "),
         (ODOMETRY, "no odometry topic, expected one of type nav_msgs/Odometry; found "),
         (TF_STATIC, "no transform from 'base_link' (/odom, child frame) to 'camera_optical_frame'"),
     ]:

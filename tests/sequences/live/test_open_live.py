@@ -38,8 +38,8 @@ def test_what_is_waited_for_is_said_until_all_is_there(wait: Wait) -> None:
     ]
     reader = wait.open()
     expected = [
-        "no image topic, expected one of type sensor_msgs/Image or ",
-        "no image topic, expected one of type sensor_msgs/Image or ",
+        "no image topic, so no images; expected one of type sensor_msgs/Image, ",
+        "no image topic, so no images; expected one of type sensor_msgs/Image, ",
         f"no readable message on {IMAGES} ",
         "no odometry topic, expected one of type nav_msgs/Odometry; found ",
         "no readable message on /odom ",

@@ -47,7 +47,7 @@ def test_a_walk_that_is_not_connected_is_named():
     (said,) = missing(walks, placed, matches=within)
     assert said.startswith("b: none of its 20 images is placed: nothing in it was recognised in the other walks")
     (said,) = missing(walks, placed, matches=[*within, match(3, 25)])
-    assert said == "b: none of its 20 images is placed: 1 pairs with placed images look alike, too few"
+    assert said == "b: none of its 20 images is placed: too few pairs with placed images look alike: 1"
 
 
 def test_a_cut_and_a_part_of_its_own_are_named():

@@ -172,7 +172,7 @@ def test_a_jump_in_a_file_is_counted(walk: Path, tmp_path: Path) -> None:
     frames = posed_frames(walk, options=SequenceOptions(poses=tmp_path / "a.tum"))
     assert BEGIN_NS + 500 * MS not in [frame.time_ns for frame in frames]
     assert frames.skipped["true pose jumps"] == 1
-    assert "jump 1 times" in frames.notices[0]
+    assert "jump 1 time, " in frames.notices[0]
 
 
 @pytest.mark.parametrize(

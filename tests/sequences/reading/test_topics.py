@@ -1,5 +1,6 @@
 """Which topics are read, and how transforms lead from odometry to the camera."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
 from sequences.recordings.bag import Bag
 from sequences.recordings.message_definitions import decoder
+from sequences.recordings.source import listing
 from tests.helpers.sequence_files import BASE_FROM_CAMERA, BEGIN_NS, IMAGES, Walk, close, rewrite
 
 
@@ -45,7 +47,7 @@ def test_of_several_topics_one_must_be_named(topic: str, role: str, tmp_path: Pa
     ("options", "said"),
     [
         (SequenceOptions(image_topic="/nowhere"), r"no topic /nowhere.*found.*/odom \(nav_msgs/Odometry\)"),
-        (SequenceOptions(image_topic="/odom"), r"/odom is nav_msgs/Odometry, expected sensor_msgs/Image or"),
+        (SequenceOptions(image_topic="/odom"), r"/odom is nav_msgs/Odometry, expected sensor_msgs/Image, sens"),
     ],
 )
 def test_a_topic_that_is_missing_or_of_another_type_is_named(
@@ -53,6 +55,23 @@ def test_a_topic_that_is_missing_or_of_another_type_is_named(
 ) -> None:
     with pytest.raises(SequenceError, match=said):
         SequenceReader(walk_file, options)
+
+
+def test_of_other_topics_those_of_the_kind_come_first_and_the_nearest_is_asked_for(tmp_path: Path) -> None:
+    path = with_second(tmp_path, "/odom", "/other/with/a/long/name")
+    with pytest.raises(SequenceError, match=r"no topic /camera/image \(--image-topic\); found ") as error:
+        SequenceReader(path, SequenceOptions(image_topic="/camera/image"))
+    assert re.search(
+        rf"found {IMAGES} \(sensor_msgs/CompressedImage\).* more; did you mean {IMAGES}\?$", str(error.value)
+    )
+    with pytest.raises(SequenceError, match=r"no topic /camera/image \(--odometry-topic\); found /odom [^?]*$"):
+        SequenceReader(path, SequenceOptions(odometry_topic="/camera/image"))
+
+
+def test_a_topic_without_messages_is_said_to_be_empty(walk_file: Path) -> None:
+    topics = [*Bag(walk_file).topics.values()]
+    assert ", empty)" not in listing(topics)
+    assert listing([replace(topics[0], num_messages=0)]) == f"found {topics[0].name} ({topics[0].type}, empty)"
 
 
 def test_a_topic_of_two_types_is_refused_with_both(tmp_path: Path) -> None:

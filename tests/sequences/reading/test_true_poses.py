@@ -180,7 +180,9 @@ def test_a_jump_is_counted_and_no_pose_is_interpolated_across_it(tmp_path: Path)
     assert [frame.time_ns for frame in reader if frame.world_from_camera is None] == between
     assert reader.across_jumps == 1
     (notice,) = reader.notices
-    assert notice.startswith(f"true poses of tf frame map jump 1 times, first at {times[after] * 1e-9:.3f} s: 1 images")
+    assert notice.startswith(
+        f"true poses of tf frame map jump 1 time, first at {times[after] * 1e-9:.3f} s: none for 1 image"
+    )
     frames = posed_frames(path)
     assert len(list(frames)) == 11
     assert frames.skipped == {"true pose jumps": 1}

@@ -60,11 +60,7 @@ def test_what_is_no_input_is_refused_in_words(tmp_path, capsys):
     (tmp_path / "empty").mkdir()
     output = ["--output", str(tmp_path / "place")]
     refuse(["map", str(tmp_path / "no.mp4"), *output], capsys, "no.mp4: no such file or folder, expected a video")
-    refuse(
-        ["map", str(tmp_path / "empty"), *output],
-        capsys,
-        "empty: no images, expected PNG or JPEG files, a data set or a recording in the folder",
-    )
+    refuse(["map", str(tmp_path / "empty"), *output], capsys, "empty: no sequence or data set; looked for a video")
 
 
 def test_commands_that_need_poses_name_map(images, tmp_path, capsys, monkeypatch):

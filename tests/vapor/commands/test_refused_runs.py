@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from filtering.se3 import Poses
+from sequences.datasets.layout_helpers.image_files import images_in
+from sequences.outputs import results_folder
 from tests.helpers import sequence_files
 from tests.helpers.command_line import contents, refuse, refuse_run, words_of_run
-from tests.helpers.data_sets import make_tum
+from tests.helpers.data_sets import make_tum, write_image
 from tests.helpers.sequence_files import IMAGES, ODOMETRY, Walk, rewrite
 from tests.helpers.tiny_model import altered
 from tests.helpers.video_clips import write_clip
@@ -21,10 +23,13 @@ NOWHERE = Poses(np.eye(3), np.array([np.nan, 0.0, 0.0]))
 @pytest.mark.parametrize(
     ("lacking", "said"),
     [
-        (IMAGES, ["no image topic", "sensor_msgs/Image or sensor_msgs/CompressedImage", "/odom (nav_msgs/Odometry)"]),
+        (IMAGES, ["no image topic", "FFMPEGPacket; found ", "/odom (nav_msgs/Odometry)"]),
         (
             "/tf_static",
-            ["no transform from 'base_link' (/odom, child frame) to 'camera_optical_frame'", "--base-from-camera"],
+            [
+                "no transform from 'base_link' (/odom, child frame) to 'camera_optical_frame'",
+                "--base-from-camera); --odometry visual makes odometry from the images instead",
+            ],
         ),
     ],
 )
@@ -64,12 +69,40 @@ def test_a_part_by_an_at_is_refused_with_the_options_that_choose_one(walk_of_25,
 @pytest.mark.parametrize("name", ["nav2_turtlebot.mcap", "talker.mcap", "only_topics.mcap"])
 def test_recordings_of_real_robots_without_images_are_refused(name, shared_data, tiny_model, earlier, capsys):
     path = shared_data / "ros_bags" / name
-    refuse_run(path, tiny_model, earlier, capsys, path, "no image topic, expected one of type sensor_msgs/Image")
+    types = "sensor_msgs/Image, sensor_msgs/CompressedImage, foxglove_msgs/CompressedVideo or ffmpeg_image_transport_ms"
+    said = f"no image topic, so no images; expected one of type {types}"
+    refuse_run(path, tiny_model, earlier, capsys, path, said)
 
 
 def test_of_two_cameras_of_a_real_ros_1_bag_one_must_be_named(shared_data, tiny_model, earlier, capsys):
     path = shared_data / "ros_bags" / "t265_trimmed_locoffice.bag"
-    refuse_run(path, tiny_model, earlier, capsys, "2 image topics", "/camera/fisheye1/image_raw", "--image-topic")
+    topics = [f"/camera/fisheye{number}/image_raw" for number in (1, 2)]
+    said = ["2 image topics", f"--image-topic {topics[0]} or --image-topic {topics[1]}\n"]
+    refuse_run(path, tiny_model, earlier, capsys, *said)
+    refuse_run(path, tiny_model, earlier, capsys, "; --odometry visual makes", options=["--image-topic", topics[0]])
+    misspelt = ["--image-topic", "/camera/fisheye3/image_raw"]
+    said = (
+        f"found {topics[0]} (sensor_msgs/Image), {topics[1]} (sensor_msgs/Image) and 3 more; did you mean {topics[1]}?"
+    )
+    refuse_run(path, tiny_model, earlier, capsys, said, options=misspelt)
+
+
+@pytest.mark.parametrize("command", ["inspect", "run"])
+def test_results_are_no_images(command, walk_of_25, tiny_model, earlier, capsys):
+    folder = earlier.parent / "seen"
+    with results_folder(folder, command, writes=["map.png"]) as new:
+        write_image(new / "map.png", 0)
+    refuse_run(folder, tiny_model, earlier, capsys, f"but results of `{command}`; expected what they were made from")
+    write_image(folder / "1.png", 1)  # the user's
+    assert [file.name for file in images_in(folder)] == ["1.png"]
+
+
+def test_a_folder_with_nothing_to_localize_says_what_was_looked_for(tiny_model, earlier, capsys):
+    folder = earlier.parent / "notes"
+    folder.mkdir()
+    (folder / "stairs_train.txt").write_text("mine")
+    said = "notes: no sequence or data set; looked for a video, PNG or JPEG images, .mcap, .db3, .bag, metadata.yaml"
+    assert "convert" not in refuse_run(folder, tiny_model, earlier, capsys, said)
 
 
 @pytest.mark.parametrize(

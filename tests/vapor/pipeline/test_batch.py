@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from sequences.options import SequenceOptions
+from tests.helpers.command_line import contents
 from tests.helpers.data_sets import make_7scenes, make_cambridge, make_tum
 from tests.helpers.dot_scene import make_stray
 from tests.helpers.sequence_files import BEGIN_NS, Walk, as_split_folder, rewrite
@@ -88,6 +89,14 @@ def test_a_folder_stands_for_the_data_sets_in_it_and_a_scene_for_its_sequences(t
     assert is_batch([scene])
     touch(scene, "walk.mcap")  # recordings are asked for first
     assert "walk" in find_sequences([scene], tmp_path / "out")
+
+
+def test_a_part_of_a_folder_is_named_by_it_also_with_a_slash_between(tmp_path):
+    paths = [Path(f"{make_tum(tmp_path / name)}/@0:2") for name in ("desk", "hall")]
+    assert find_sequences(paths, tmp_path / "out") == {
+        "desk@0:2": tmp_path / "desk@0:2",
+        "hall@0:2": tmp_path / "hall@0:2",
+    }
 
 
 @pytest.mark.parametrize("stray", ["poses.txt", "transforms.json"])
@@ -233,7 +242,7 @@ def test_folders_without_a_recording_and_absent_files_fail_each_in_its_row(tiny_
     (tmp_path / "empty").mkdir()
     assert run([tmp_path / "empty", tmp_path / "gone.mcap"], tiny_model, tmp_path / "out") == 1
     printed = capsys.readouterr()
-    assert "empty: no images, expected PNG or JPEG files, a data set or a recording in the folder" in printed.out
+    assert "empty: no sequence or data set; looked for a video, PNG or JPEG images, .mcap" in printed.out
     assert "gone.mcap: no such file or folder" in printed.out
     assert printed.err.endswith("2 of 2 sequences failed: empty, gone\n")
 
@@ -255,6 +264,23 @@ def test_a_sequence_that_used_hardly_any_of_its_images_fails_unless_it_may(tiny_
     last = "Fewer than half of the images were used in 1 of 2 sequences: attic."
     assert capsys.readouterr().out.splitlines()[-1] == last
     assert {row["name"]: row["images"] for row in summary_of(tmp_path / "out")["sequences"]} == {"attic": 2, "hall": 6}
+
+
+@pytest.mark.usefixtures("unchecked", "plain_results")
+def test_results_of_one_sequence_and_of_several_share_no_folder(bags, tiny_model, tmp_path, capsys):
+    one, several = [bags / "bag"], [bags / "bag", bags / "broken.mcap"]
+    assert run(one, tiny_model, tmp_path / "one") == 0
+    assert run(several, tiny_model, tmp_path / "several") == 1
+    for folder, sequences in ((tmp_path / "one", several), (tmp_path / "several", one)):
+        before = contents(folder)
+        capsys.readouterr()
+        assert run(sequences, tiny_model, folder) == 1
+        said = capsys.readouterr().err
+        assert f"{folder}: holds " in said
+        assert "expected an empty folder or" in said
+        assert contents(folder) == before
+    assert run(several, tiny_model, tmp_path / "one", "--overwrite") == 1
+    assert (tmp_path / "one" / "summary.html").is_file()
 
 
 # --- goes on -------------------------------------------------------------------------------------------

@@ -309,7 +309,7 @@ def test_true_poses_and_odometry_of_tf_are_used_and_their_jumps_said(tiny_model,
     at_ns = next(t for t in stamps(every_ms=90, since_ms=-39) if t > BEGIN_NS + 600_000_000)  # behind the seventh image
     out, words = tmp_path / "out", ["--ground-truth-frame", "map", "--no-recording"]
     assert run(robot(tmp_path / "a.mcap", jump_ns=at_ns), tiny_model, out, *words) == 0
-    assert "true poses of tf frame map jump 1 times" in capsys.readouterr().out
+    assert "true poses of tf frame map jump 1 time, first at" in capsys.readouterr().out
     reading = json.loads((out / "config.json").read_text())["reading"]
     assert (reading["ground_truth_frame"], reading["odometry_frame"], reading["poses"]) == ("map", "odom", None)
     assert len(read_tum(out / "ground_truth.tum")) == 11

@@ -1,4 +1,5 @@
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from vapor.benchmark.regressors.training_runs import identity
 from vapor.track import main
 from vapor.training.train import train, train_on
 from vapor.training_data.checks import Colours, said_of_colours
-from vapor.training_data.entries import name_entries, open_sequences, require_no_leakage
+from vapor.training_data.entries import as_entry, name_entries, open_sequences, require_no_leakage
 from vapor.training_data.ground import odometry_segments, pass_numbers, some_runs
 from vapor.training_data.load import load_training_set
 from vapor.training_data.training_set import TrainingError
@@ -50,6 +51,16 @@ def test_each_sequence_of_a_split_has_its_own_name(tmp_path):
     loaded = load_training_set(open_sequences([scene / "TrainSplit.txt", scene / "seq-01"]), (32, 24))
     np.testing.assert_array_equal(loaded.sequence, np.repeat([0, 1, 2], 10))
     assert loaded.names == ("chess/TrainSplit.txt, sequence 1", "chess/TrainSplit.txt, sequence 2", "seq-01")
+
+
+def test_a_slash_before_the_part_of_a_folder_is_no_part_of_its_name():
+    assert [*name_entries(["data/chess/@0:30", "data/chess//@30:", "fire@:9"])] == [
+        "chess@0:30",
+        "chess@30:",
+        "fire@:9",
+    ]
+    assert name_entries(["data/chess/@0:30"])["chess@0:30"] == (Path("data/chess"), slice(0, 30))
+    assert [str(as_entry(entry)) for entry in ("/@0:3", "a/@b", "a/@0:3/b")] == ["/@0:3", "a/@b", "a/@0:3/b"]
 
 
 def test_what_is_left_out_of_the_data_is_told(tmp_path, capsys):
