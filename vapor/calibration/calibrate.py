@@ -31,6 +31,7 @@ from vapor.checkpoints.stored_tensors import NETWORK
 from vapor.engines.engine import Device, resolve_device
 from vapor.evaluation.reliability import Reliability
 from vapor.evaluation.seen_images import describe_images
+from vapor.evaluation.trained_images import count_trained_images, said_of_trained_images
 from vapor.evaluation.validation import predict
 from vapor.landmarks.build import Advance
 from vapor.regressors.base import PoseRegressor
@@ -44,6 +45,8 @@ from vapor.training_data.training_set import TrainingSet
 
 _NARROWEST, _WIDEST = (5e-4, 3e-3), (0.1, 1.0)  # kernels: extents, radians
 _BLOCK = 50  # images at a time: 50 × 2000 float32 fit the cache
+_MOST_TRAINED = 0.5  # of the held-out images
+_LEAST_RIGHT = 0.02  # of them: fewer are right by chance, in a place that the model does not know
 NUM_SAMPLES = 1000  # posterior samples an image, as in use: fewer need wider kernels
 
 
@@ -252,7 +255,8 @@ def calibrate_model(
         advance: Called with the number of images seen by the network, and of all.
 
     Raises:
-        VaporTrackError: unusable model or data, or too little of it to calibrate anything.
+        VaporTrackError: unusable model or data, too little of it to calibrate anything, images most of which the model
+            was trained on, or images of which hardly any is localized.
 
     Example:
         >>> import vapor
@@ -274,11 +278,12 @@ def calibrate_model(
 
     held_out = load(data)
     trained_on = load(training) if training else None
+    names = ", ".join(Path(str(entry)).name for entry in data)
     if len(held_out) < LEAST_IMAGES:
-        names = ", ".join(Path(str(entry)).name for entry in data)
         raise VaporTrackError(f"{names}: {len(held_out)} images with true poses, expected at least {LEAST_IMAGES}")
+    notice = _said_of_trained_images(held_out, checkpoint.description.memory_poses, names)
     skipped = held_out.skipped + trained_on.skipped if trained_on else held_out.skipped
-    notices = held_out.notices + (trained_on.notices if trained_on else ())
+    notices = (*notice, *held_out.notices, *(trained_on.notices if trained_on else ()))
     network = checkpoint.build_network().to(resolve_device(device))
     ood_model = _ood_model(network, checkpoint.ood_model, trained_on, held_out, max_images)
     calibration, known = checkpoint.calibration, checkpoint.ood_model
@@ -306,13 +311,38 @@ def calibrate_model(
             seed=seed,
             advance=advance,
         )
-        names = {"data": [Path(str(entry)).name for entry in data]}
-        provenance = {**checkpoint.training, "calibration": names | result.provenance}
+        _refuse_another_place(result, names)
+        own = {"data": [Path(str(entry)).name for entry in data], **result.provenance}
+        provenance = {**checkpoint.training, "calibration": own}
     fitted = replace(checkpoint, calibration=result.calibration, training=provenance, ood_model=ood_model)
     stored = read_safetensors(file)[1].items()
     float16 = any(tensor.dtype == torch.float16 for name, tensor in stored if name.startswith(NETWORK))
     save_checkpoint(output, fitted, store_float16=float16)
     return replace(result, skipped=skipped, notices=notices)
+
+
+def _said_of_trained_images(held_out: TrainingSet, trained: Poses | None, names: str) -> list[str]:
+    """Notice where some held-out images were trained on; an error where most were."""
+    if trained is None:
+        return []
+    count = count_trained_images(held_out.poses, trained)
+    if count > _MOST_TRAINED * len(held_out):
+        raise VaporTrackError(
+            f"{names}: the model was trained on {count} of the {len(held_out)} images, by their true poses, and knows"
+            " them better than new ones; expected images that it was not trained on"
+        )
+    said = said_of_trained_images([held_out.poses[i] for i in range(len(held_out))], trained)
+    return [] if said is None else [said]
+
+
+def _refuse_another_place(result: CalibrationResult, names: str) -> None:
+    if (reliability := result.reliability) is None or reliability.right >= _LEAST_RIGHT:
+        return
+    raise VaporTrackError(
+        f"{names}: the best place of a single image is the true one in {100 * reliability.right:.0f} % of"
+        f" {result.images} images, expected at least {100 * _LEAST_RIGHT:.0f} %; are they of another place than the"
+        " model's, or their true poses in another frame?"
+    )
 
 
 def _ood_model(

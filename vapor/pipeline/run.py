@@ -36,7 +36,7 @@ from vapor.pipeline.localize import localize
 from vapor.pipeline.model import LoadedModel, load_model
 from vapor.pipeline.odometry import USES, camera_of_motion, makes_odometry, require_one_source, usual_depth_m
 from vapor.pipeline.results import RESULTS, RunResult, write_results
-from vapor.pipeline.trained_images import said_of_trained_images
+from vapor.evaluation.trained_images import said_of_trained_images
 from vapor.pipeline.unrecognised import MOST_IMAGES, SeenImage, are_unrecognised, why_unrecognised
 from vapor.pipeline.verticals import Verticals
 from vapor.reporting.outline import Outline

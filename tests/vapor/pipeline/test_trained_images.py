@@ -15,7 +15,7 @@ from vapor.checkpoints.file_format import save_checkpoint
 from vapor.pipeline.config import RunConfig
 from vapor.pipeline.model import load_model
 from vapor.pipeline.run import request_of
-from vapor.pipeline.trained_images import said_of_trained_images
+from vapor.evaluation.trained_images import said_of_trained_images
 from vapor.regressors.scene_box import SceneBox
 from vapor.track import main
 
