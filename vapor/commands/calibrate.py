@@ -105,8 +105,8 @@ def show_calibration(result: CalibrationResult) -> None:
     if result.reliability is not None:
         show(_reliability_table(result.reliability))
         show(
-            "how far the weights of two places of an image tell which is right (1: by their ratio, 0: not at all):"
-            f" {result.weight_power:.2f} of a single image, {result.calibration.errors.weight_power:.2f} along a walk"
+            "trust in the weights of places (1: their ratio is that of the places' probabilities, 0: none):"
+            f" {result.weight_power:.2f} in a single image, {result.calibration.errors.weight_power:.2f} along a walk"
         )
     show_errors(result)
 

@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool
 
+from filtering.errors import length_said
 from filtering.mapped_views import MappedViews
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
@@ -108,8 +109,8 @@ def find_landmarks(
         )
     verification = fit_reach(left_out, verified.effective_images)
     found += (
-        f"; they reach views that differ by {verification.reach * built.material.depth_m:.1f} m, and beyond"
-        f" {verification.elsewhere:.0%} are taken for another place"
+        f"; an image shows them where its view differs by up to {length_said(verification.reach * material.depth_m)}"
+        f" from those of the map; of images further away {verification.elsewhere:.0%} are taken for another place"
     )
     return FoundLandmarks(built, verified, verification, images), (*notes, found)
 

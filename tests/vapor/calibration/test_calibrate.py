@@ -170,7 +170,7 @@ def test_the_command_writes_the_same_weights_with_another_calibration(tiny_model
     printed = capsys.readouterr().out
     assert "60 held-out images" in printed
     assert "correlated_fraction" in printed
-    assert "how far the weights of two places of an image tell which is right (1: by their ratio" in printed
+    assert "trust in the weights of places (1: " in printed
     assert "expected calibration error" in printed
     assert max(len(line) for line in printed.splitlines() if set("│┃") & set(line)) <= 80
     assert "true poses in the 50, 90, 95 % regions of single images" in printed

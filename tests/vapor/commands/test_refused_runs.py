@@ -75,7 +75,7 @@ def test_of_two_cameras_of_a_real_ros_1_bag_one_must_be_named(shared_data, tiny_
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        (b"", "expected the MCAP magic"),
+        (b"", "is empty, expected an MCAP file"),
         (b"hello, world" * 50, "starts with b'hello, w', expected the MCAP magic"),
         (b"#ROSBAG V2.0\n" + bytes(99), "damaged or unfinished ROS 1 bag"),
         (b"SQLite format 3\0" + bytes(99), "damaged SQLite"),
