@@ -44,6 +44,16 @@ def _checked(room, poses, *, stated, image=None):
     return views.check(recorded(poses))
 
 
+def _recorded(room, path, stated):
+    """A walk through the room, whose images come with this camera."""
+    poses = walk(40)
+    with SequenceWriter(path, camera=stated, base_from_camera=Poses.identity(), metadata={}) as writer:
+        for i in range(len(poses)):
+            writer.write_image(BEGIN_NS + i * 10**8, room.view(poses[i]))
+            writer.write_true_pose(BEGIN_NS + i * 10**8, poses[i])
+    return path
+
+
 def test_intrinsics_that_are_right_are_not_doubted(room):
     found = _checked(room, walk(40), stated=CAMERA)
     assert not found.disagrees
@@ -53,11 +63,7 @@ def test_intrinsics_that_are_right_are_not_doubted(room):
 
 
 def test_a_wrong_focal_length_is_said_once_with_what_fits(room, tmp_path):
-    path, poses = tmp_path / "w.mcap", walk(40)
-    with SequenceWriter(path, camera=_WRONG, base_from_camera=Poses.identity(), metadata={}) as writer:
-        for i in range(len(poses)):
-            writer.write_image(BEGIN_NS + i * 10**8, room.view(poses[i]))
-            writer.write_true_pose(BEGIN_NS + i * 10**8, poses[i])
+    path = _recorded(room, tmp_path / "w.mcap", _WRONG)
     found = inspect([path])
     assert any(check.focal is not None for walk in found.walks for check in walk.checks)
     sentence = only(found, "intrinsics")
@@ -72,6 +78,15 @@ def test_a_wrong_focal_length_is_said_once_with_what_fits(room, tmp_path):
     errors_m = report["localization_error_m"]
     assert errors_m["fits"] < 0.03
     assert errors_m["stated"] is None or errors_m["stated"] > 2.0 * errors_m["fits"]
+
+
+def test_a_wrong_focal_length_is_advice_alone_and_beside_a_recording_of_other_intrinsics(room, tmp_path):
+    paths = [_recorded(room, tmp_path / f"{name}.mcap", stated) for name, stated in (("w", _WRONG), ("r", CAMERA))]
+    for data in (paths[:1], paths):
+        found = inspect(data)
+        assert not any("intrinsics" in sentence for sentence in found.verdict.faults)
+        assert any("intrinsics" in sentence for sentence in found.verdict.advice)
+    assert only(found, "w.mcap: by true poses the images move as through a focal length ")
 
 
 def test_what_tells_nothing_of_a_camera_is_no_failure(room):
