@@ -14,7 +14,7 @@ from filtering.measurement_noise import Six
 from sequences.options import SequenceOptions
 from sequences.outputs import refuse_other
 from vapor.allocation import keep_freed_memory
-from vapor.checkpoints.file_format import find_model, is_model
+from vapor.checkpoints.file_format import find_model, is_model, require_model_name
 from vapor.commands.console import OutputPath, Overwrite, parse, show, show_notices, show_skipped, usage_error
 from vapor.commands.model_name import ModelName
 from vapor.commands.progress import progress
@@ -65,6 +65,7 @@ def main(arguments: Sequence[str]) -> None:
         usage_error("calibrate", f"images {o.images} and seed {o.seed}, expected at least 1 and 0")
     reads = chain([find_model(o.model)], files_read([*o.data, *o.training], o.reading))
     refuse_other(o.output, "model of vapor-track", is_model, reads=reads, overwrite=o.overwrite)
+    require_model_name(o.output)
     from vapor.calibration.calibrate import calibrate_model
 
     keep_freed_memory()

@@ -212,6 +212,11 @@ def test_the_command_refuses_data_without_poses_or_too_little(num_images, posed,
     assert not output.exists()
 
 
+def test_the_output_is_named_as_a_model(tiny_model, tmp_path, capsys):
+    words = ["calibrate", str(tiny_model), "walk.mcap", "--output", str(tmp_path / "model.onnx")]
+    refuse(words, capsys, "model.onnx: expected the name of a model file to write, which ends in .safetensors")
+
+
 @pytest.mark.usefixtures("widest_places")
 @pytest.mark.parametrize("is_new", [True, False])
 def test_images_of_another_place_are_refused_and_the_output_stays_as_it_was(is_new, tiny_model, tmp_path, capsys):
