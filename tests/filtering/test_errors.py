@@ -2,7 +2,7 @@
 
 import pytest
 
-from filtering.errors import VaporTrackError, few, listed, shortened
+from filtering.errors import VaporTrackError, few, length_said, listed, shortened
 
 
 def test_a_list_names_all_but_two_and_more_others():
@@ -13,6 +13,14 @@ def test_a_list_names_all_but_two_and_more_others():
     assert listed("abcd", 2) == "a, b and 2 more"
     assert listed(range(9), 2, "; ", others="more ranges") == "0; 1; and 7 more ranges"
     assert few("abcd", 2) == ["a", "b", "2 more"]
+
+
+@pytest.mark.parametrize(
+    ("metres", "said"),
+    [(0.00072, "0.72 mm"), (0.0099, "9.9 mm"), (0.00999, "1 cm"), (0.031, "3.1 cm"), (0.996, "1 m"), (1.24, "1.2 m")],
+)
+def test_a_length_is_said_in_its_unit(metres, said):
+    assert length_said(metres) == said
 
 
 @pytest.mark.parametrize(

@@ -66,7 +66,7 @@ def main(arguments: Sequence[str]) -> None:
     reads = chain([find_model(o.model)], files_read([*o.data, *o.training], o.reading))
     refuse_other(o.output, "model of vapor-track", is_model, reads=reads, overwrite=o.overwrite)
     require_model_name(o.output)
-    from vapor.calibration.calibrate import calibrate_model
+    from vapor.calibration.calibrate_model import calibrate_model
 
     keep_freed_memory()
     with progress("calibrating") as advance:

@@ -60,6 +60,9 @@ def test_intrinsics_that_are_right_are_not_doubted(room):
     assert found.in_words.startswith("200 px stated, ")
     assert found.fit.apart_px < 0.5
     assert found.found.fx == pytest.approx(CAMERA.fx, rel=0.02)
+    alike = replace(found.fit, by_stated=found.fit.by_found, errors_m=(0.0081, 0.0079)).in_words(CAMERA.width)
+    agreeing = f"{found.fit.by_found.agreeing:.0%}"
+    assert alike.endswith(f"{agreeing} of matches agree either way, and images are localized within 0.8 cm either way")
 
 
 def test_a_wrong_focal_length_is_said_once_with_what_fits(room, tmp_path):
