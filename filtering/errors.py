@@ -101,6 +101,12 @@ def counted(number: int, noun: str) -> str:
     return f"{number} {noun}{'s' * (number != 1)}"
 
 
+def length_said(metres: float) -> str:
+    """A length in words, two digits: "0.72 mm", "3.1 cm", "1.2 m"."""
+    unit, name = (1.0, "m") if metres >= 0.995 else (1e2, "cm") if metres >= 0.00995 else (1e3, "mm")
+    return f"{unit * metres:.2g} {name}"
+
+
 def quoted(value: object) -> str:
     """A value that was found in an input, as a message shows it: on one line, in 60 characters or fewer."""
     return shortened(_Short().repr(value), _MAX_QUOTED)

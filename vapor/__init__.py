@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from sequences.trajectories.tum import read_tum as read_tum
     from sequences.trajectories.tum import write_tum as write_tum
     from sequences.visual_odometry.odometry import VisualOdometry as VisualOdometry
-    from vapor.calibration.calibrate import calibrate_model as calibrate_model
+    from vapor.calibration.calibrate_model import calibrate_model as calibrate_model
     from vapor.landmarks.verify import LandmarkVerifier as LandmarkVerifier
     from vapor.observation import VaporObservationModel as VaporObservationModel
     from vapor.pipeline.config import RunConfig as RunConfig
@@ -80,7 +80,7 @@ _MODULES = {
     "Vertical": "filtering.vertical",
     "View": "filtering.observation",
     "VisualOdometry": "sequences.visual_odometry.odometry",
-    "calibrate_model": "vapor.calibration.calibrate",
+    "calibrate_model": "vapor.calibration.calibrate_model",
     "fuse": "vapor.pipeline.fuse",
     "live": "vapor.robot.live",
     "mode_trajectories": "vapor.tracking.mode_trajectories",

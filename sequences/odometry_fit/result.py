@@ -103,11 +103,12 @@ class OdometryFit:
         """A few lines for people: standard deviations, millimetres and degrees."""
 
         def row(values: Six, errors: Six | None = None) -> str:
-            m, deg = np.array(values[:3]) * 1e3, np.degrees(values[3:])
-            text = f"{' '.join(f'{v:.2g}' for v in m)} mm, {' '.join(f'{v:.2g}' for v in deg)}°"
-            if errors is None:
-                return text
-            return text + f" (± {' '.join('?' if e > 9.99 else f'{100 * e:.0f}' for e in errors)} %)"
+            axes = ((np.array(values[:3]) * 1e3, " mm"), (np.degrees(values[3:]), "°"))
+            parts = [" ".join(f"{v:.2g}" for v in numbers) + unit for numbers, unit in axes]
+            if errors is not None:
+                found = ["?" if e > 9.99 else f"{100 * e:.0f}" for e in errors]
+                parts = [f"{part} (± {' '.join(found[i : i + 3])} %)" for part, i in zip(parts, (0, 3), strict=True)]
+            return ", ".join(parts)
 
         per_m = f"\n  white after 1 m, on top: {row(six(np.sqrt(self.white_per_m)))}" if any(self.white_per_m) else ""
         return (

@@ -268,6 +268,8 @@ def _check_ends(file: Path) -> None:
         size = stream.seek(0, os.SEEK_END)
         stream.seek(max(0, size - len(_MAGIC)))
         tail = stream.read()
+    if not head:
+        raise SequenceError(f"{file}: is empty, expected an MCAP file, SQLite or a ROS 1 bag")
     if not head.startswith(_MAGIC):
         raise SequenceError(
             f"{file}: starts with {head[:8]!r}, expected the MCAP magic {_MAGIC!r}, SQLite or a ROS 1 bag"

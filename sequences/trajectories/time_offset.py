@@ -77,12 +77,18 @@ def _find(odometry: Trajectory, poses: Trajectory, within_s: float, certain_s: f
     # Errors of the turn rate are independent where it is measured over other times; a sharp peak makes them small.
     independent = max(float(seconds[best]) / (_SPAN * _STEP_S), 1.0)
     deviation_s = _STEP_S * np.sqrt(max(1 - peak**2, 0.0) / (independent * bend))
-    if peak < _LEAST_CORRELATION or rival > _RIVAL_FRACTION * peak or deviation_s > certain_s:
-        raise SequenceError(
-            f"rotation determines no time offset: that of odometry and poses correlates by {peak:.2f} at"
-            f" best, to {1e3 * deviation_s:.1f} ms, and by {rival:.2f} at another offset, expected at least"
-            f" {_LEAST_CORRELATION:g}, {1e3 * certain_s:g} ms and a clear best; give --time-offset-s a number"
+    why = ""
+    if peak < _LEAST_CORRELATION:
+        why = (
+            f"odometry and poses turn alike by {peak:.2f} at best (correlation), expected at least"
+            f" {_LEAST_CORRELATION:g}"
         )
+    elif rival > _RIVAL_FRACTION * peak:
+        why = f"odometry and poses turn as much alike at two offsets (correlation {peak:.2f} and {rival:.2f})"
+    elif deviation_s > certain_s:
+        why = f"it would be uncertain by {1e3 * deviation_s:.1f} ms, expected at most {1e3 * certain_s:g} ms"
+    if why:
+        raise SequenceError(f"rotation determines no time offset: {why}; give --time-offset-s a number")
     return float(offsets_s[best]) + 0.5 * (right - left) / bend * _STEP_S, float(deviation_s)
 
 

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from filtering.errors import MAX_MESSAGE, VaporTrackError, counted, few, listed, shortened
+from filtering.errors import MAX_MESSAGE, VaporTrackError, counted, few, length_said, listed, shortened
 
 _LONG = "no such thing, " * 25
 
@@ -21,6 +21,14 @@ def test_a_list_names_all_but_two_and_more_others():
 
 def test_one_of_a_kind_is_no_plural():
     assert [counted(number, "image") for number in (0, 1, 2)] == ["0 images", "1 image", "2 images"]
+
+
+@pytest.mark.parametrize(
+    ("metres", "said"),
+    [(0.00072, "0.72 mm"), (0.0099, "9.9 mm"), (0.00999, "1 cm"), (0.031, "3.1 cm"), (0.996, "1 m"), (1.24, "1.2 m")],
+)
+def test_a_length_is_said_in_its_unit(metres, said):
+    assert length_said(metres) == said
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -10,6 +11,7 @@ from filtering.measurement_noise import MeasurementNoise
 from filtering.se3 import Poses
 from vapor.checkpoints.calibration import Calibration
 from vapor.checkpoints.checkpoint import Checkpoint
+from vapor.checkpoints.file_format import save_checkpoint
 from vapor.regressors.network_config import NetworkConfig, make_regressor
 from vapor.regressors.ood_model import OodModel, description_size
 from vapor.regressors.retrieval import Memory
@@ -58,6 +60,22 @@ def any_checkpoint(head: str = "variational", *, in_distribution: bool = True) -
     return Checkpoint(
         config, BOX, Calibration(), poses, network.state_dict(), training={"seed": 3}, ood_model=known, memory=memory
     )
+
+
+def remembering(poses: Poses, path: Path) -> Path:
+    """A model that remembers images at these poses."""
+    checkpoint = any_checkpoint("retrieval", in_distribution=False)
+    assert checkpoint.memory is not None
+    memory = replace(
+        checkpoint.memory,
+        keys=checkpoint.memory.keys[: len(poses)],
+        views=checkpoint.memory.views[: len(poses)],
+        translation=torch.from_numpy(poses.translation).float(),
+        rotation=torch.from_numpy(poses.rotation).float(),
+    )
+    box = SceneBox.around(poses)
+    save_checkpoint(path, replace(checkpoint, memory=memory, prior_poses=poses, box=box), store_float16=True)
+    return path
 
 
 def an_image(seed: int = 0) -> np.ndarray:

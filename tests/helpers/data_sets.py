@@ -15,7 +15,7 @@ STEP_NS = 33_333_333
 
 
 def write_image(path: Path, index: int, width: int = 32, height: int = 24) -> None:
-    image = np.full((height, width, 3), 10 * index + 5, np.uint8)
+    image = np.full((height, width, 3), (10 * index + 5) % 256, np.uint8)
     cv2.imwrite(str(path), image)
 
 

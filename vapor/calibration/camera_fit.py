@@ -67,10 +67,10 @@ class CameraFit:
         if self.errors_m is None or self.by_stated is None:
             return words
         stated, found = (f"{100 * each:.1f} cm" if np.isfinite(each) else "hardly at all" for each in self.errors_m)
-        return (
-            f"{words}: {self.by_found.agreeing:.0%} instead of {self.by_stated.agreeing:.0%} of matches agree, and"
-            f" images are localized within {found} instead of {stated}"
-        )
+        agree, instead = f"{self.by_found.agreeing:.0%}", f"{self.by_stated.agreeing:.0%}"
+        agree += " of matches agree either way" if agree == instead else f" instead of {instead} of matches agree"
+        within = f"within {found} " + ("either way" if found == stated else f"instead of {stated}")
+        return f"{words}: {agree}, and images are localized {within}"
 
 
 def material_of(images: TrainingSet, advance: Advance | None = None) -> Material | None:

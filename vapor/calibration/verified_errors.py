@@ -142,8 +142,8 @@ def _without(
         localizer = LandmarkLocalizer(built.hiding(hidden))
         distance[own] = localizer.mapped().distances(material.truth[own])
         for image in own.tolist():
-            advance(len(found), len(chosen))
             found[image] = tuple(localizer.localize(localizer.described(material.query(image))))
+            advance(len(found), len(chosen))
     image = np.array(sorted(found), np.int64)
     travel = Travel.along(material.truth, material.sequence)[image]
     of_images = tuple(found[i] for i in image.tolist())

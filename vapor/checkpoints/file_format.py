@@ -204,6 +204,12 @@ def is_onnx(path: Path) -> bool:
     return path.suffix.lower() == ONNX
 
 
+def require_model_name(path: Path) -> None:
+    """Raise CheckpointError where a model file to write, no folder, has another name than of one."""
+    if path.suffix.lower() != ".safetensors" and not path.is_dir():
+        raise CheckpointError(f"{path}: expected the name of a model file to write, which ends in .safetensors")
+
+
 def is_model(path: Path) -> bool:
     """Whether a file is a model of this package, by its metadata."""
     return format_of(path) == FORMAT

@@ -14,7 +14,7 @@ from filtering.measurement_noise import Six
 from sequences.options import SequenceOptions
 from sequences.outputs import refuse_other
 from vapor.allocation import keep_freed_memory
-from vapor.checkpoints.file_format import find_model, is_model
+from vapor.checkpoints.file_format import find_model, is_model, require_model_name
 from vapor.commands.console import OutputPath, Overwrite, parse, show, show_notices, show_skipped, usage_error
 from vapor.commands.model_name import ModelName
 from vapor.commands.progress import progress
@@ -63,7 +63,8 @@ def main(arguments: Sequence[str]) -> None:
         usage_error("calibrate", f"images {o.images} and seed {o.seed}, expected at least 1 and 0")
     reads = chain([find_model(o.model)], files_read([*o.data, *o.training], o.reading))
     refuse_other(o.output, "model of vapor-track", is_model, reads=reads, overwrite=o.overwrite)
-    from vapor.calibration.calibrate import calibrate_model
+    require_model_name(o.output)
+    from vapor.calibration.calibrate_model import calibrate_model
 
     keep_freed_memory()
     with progress("calibrating") as advance:
@@ -103,8 +104,8 @@ def show_calibration(result: CalibrationResult) -> None:
     if result.reliability is not None:
         show(_reliability_table(result.reliability))
         show(
-            "how far the weights of two places of an image tell which is right (1: by their ratio, 0: not at all):"
-            f" {result.weight_power:.2f} of a single image, {result.calibration.errors.weight_power:.2f} along a walk"
+            "trust in the weights of places (1: their ratio is that of the places' probabilities, 0: none):"
+            f" {result.weight_power:.2f} in a single image, {result.calibration.errors.weight_power:.2f} along a walk"
         )
     if result.calibration.errors.verified is not None:
         show(

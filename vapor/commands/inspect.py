@@ -14,7 +14,7 @@ import numpy as np
 import tyro
 from rich.table import Table
 
-from filtering.errors import VaporTrackError, few, listed, shortened
+from filtering.errors import VaporTrackError, few, length_said, listed, shortened
 from sequences.datasets.points import scene_points
 from sequences.frame import Frame
 from sequences.options import SequenceOptions
@@ -38,6 +38,7 @@ from vapor.inspection.camera import CameraCheck
 from vapor.inspection.clocks import ImageClock
 from vapor.inspection.coverage import Coverage
 from vapor.inspection.inspect import Inspection, inspect
+from vapor.inspection.odometry import LEAST_WINDOWS
 from vapor.inspection.picture import draw_map
 from vapor.inspection.predictions import Predictions
 from vapor.inspection.recording import record_coverage
@@ -223,8 +224,8 @@ def _coverage_lines(coverage: Coverage) -> Iterator[str]:
     if not coverage.by_recordings:
         shown = [f"{100 * float((others > 0).mean()):.0f} %"]
     yield (
-        f"of {len(others)} images another {what} shows the same ground (within {coverage.split.near_m:.2g} m and 45°):"
-        f" {', '.join(shown)}"
+        f"of {len(others)} images another {what} shows the same ground (within"
+        f" {length_said(coverage.split.near_m)} and 45°): {', '.join(shown)}"
     )
     segments = coverage.alone()
     yield from (f"{segment} are shown by no other {what}" for segment in segments[:_NAMED])
@@ -244,7 +245,10 @@ def _odometry_lines(found: Inspection) -> Iterator[str]:
         return
     axes = check.axes
     if axes is None:
-        yield "motions of odometry and true poses: too short to compare"
+        yield (
+            "axes and unit of odometry against the true poses: unknown, as motions over a second are compared, and"
+            f" there are fewer than {LEAST_WINDOWS}, or too small ones"
+        )
     else:
         mirrored = f", mirrored {axes.correlation_mirrored:.2f}: one is left-handed" if axes.is_mirrored else ""
         turned = f", {axes.correlation_turned:.2f} {axes.turn_in_words}: extrinsics?" if axes.is_turned else ""
@@ -289,7 +293,7 @@ def _model_lines(predictions: Predictions, coverage: Coverage | None) -> Iterato
     figures = predictions.as_json(None)
     yield (
         f"{100 * predictions.ambiguous:.0f} % of {len(predictions.places)} images may be in several places; nine tenths"
-        f" of the samples lie within {figures['median_spread_m']:.2g} m (median)"
+        f" of the samples lie within {length_said(figures['median_spread_m'])} (median)"
     )
     yield (
         f"OOD score {figures['median_ood_score']:.2f} (median; above 1 is out of distribution:"
@@ -300,6 +304,6 @@ def _model_lines(predictions: Predictions, coverage: Coverage | None) -> Iterato
     error = figures["median_error_m"]
     yield (
         f"right (0.3 m, 20°) in {100 * figures['right']:.0f} % of the images with true poses, median error"
-        f" {'?' if error is None else f'{error:.2g}'} m; images that it was trained on look better than new ones"
+        f" {'?' if error is None else length_said(error)}; images that it was trained on look better than new ones"
     )
     yield from few(predictions.weak_places(coverage), _NAMED, others="more places where most images are wrong")

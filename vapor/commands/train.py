@@ -16,7 +16,7 @@ from rich.table import Table
 from sequences.options import SequenceOptions
 from sequences.outputs import refuse_other
 from vapor.allocation import keep_freed_memory
-from vapor.checkpoints.file_format import is_model
+from vapor.checkpoints.file_format import is_model, require_model_name
 from vapor.commands.console import OutputPath, Overwrite, parse, show, show_notices, show_skipped, usage_error
 from vapor.commands.progress import Progress, duration, progress
 from vapor.training.config import TrainConfig
@@ -118,6 +118,7 @@ def _train(options: Options) -> None:
     ):
         data = files_read([*options.data, *options.validation], options.reading)
         refuse_other(path, kind, is_kind, reads=chain(options.config.files_read, data), overwrite=options.overwrite)
+    require_model_name(options.output)
     with progress() if is_first() else nullcontext() as shown:
         result = train(
             options.data,

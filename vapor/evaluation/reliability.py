@@ -58,6 +58,11 @@ class Reliability:
         )
         return Reliability(bins, sum(each.images * abs(each.stated - each.right) for each in bins) / len(stated))
 
+    @property
+    def right(self) -> float:
+        """Fraction of all images whose best place is the true one."""
+        return sum(each.images * each.right for each in self.bins) / sum(each.images for each in self.bins)
+
     def as_json(self) -> dict[str, dict[str, Any]]:
         """For a report: by the lower end of a range, the number of `images`, the mean `stated`, and what is `right`."""
         return {

@@ -106,13 +106,13 @@ def inspect(
     coverage = odometry = predictions = None
     notices: tuple[str, ...] = ()
     if images is not None:
-        progress("where it was", 0, None)
+        progress("comparing the passes", 0, None)
         coverage = Coverage(images)
-        progress("odometry", 0, None)
+        progress("comparing odometry with the true poses", 0, None)
         odometry = check_odometry(images)
         notices = tuple(too_far(images.poses))
     cameras = {
-        name: each.check(images, lambda done, total: progress("the camera", done, total))
+        name: each.check(images, lambda done, total: progress("fitting the camera", done, total))
         for name, each in views.items()
     }
     if model is not None:

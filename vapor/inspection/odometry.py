@@ -23,7 +23,8 @@ from vapor.training_data.ground import odometry_segments
 from vapor.training_data.training_set import TrainingSet
 
 _WINDOW_S = 1.0  # over which motions are compared: noise of single images counts little
-_LEAST_WINDOWS = 20
+LEAST_WINDOWS = 20
+"""Number of these from which on motions are compared."""
 _AGREES = 0.7  # correlation of motions
 _MIRRORED_BETTER = 0.1  # correlation
 _UNITS = {"millimetres": 1000.0, "centimetres": 100.0, "inches": 39.37, "feet": 3.281}
@@ -93,7 +94,7 @@ def compare_axes(tracks: Sequence[tuple[Trajectory, Trajectory]]) -> Axes | None
     """
     pairs = [_motions(*track) for track in tracks]
     odometry, truth = (np.concatenate([pair[i] for pair in pairs]) for i in range(2))
-    if len(odometry) < _LEAST_WINDOWS:
+    if len(odometry) < LEAST_WINDOWS:
         return None
     products = []
     for part in (slice(0, 3), slice(3, 6)):

@@ -17,7 +17,7 @@ from vapor.inspection.predictions import Predictions
 from vapor.inspection.walk import Walk
 from vapor.training.holding_out import BETWEEN
 from vapor.training_data.checks import said_of_bluish_colours, said_of_swapped_colours
-from vapor.training_data.views import said_of_views
+from vapor.training_data.views import said_of_focal_length, said_of_views
 
 _FEW_IMAGES = 100
 _STANDS_M, _STANDS_RAD = 0.05, float(np.deg2rad(5.0))
@@ -72,7 +72,7 @@ def verdict(
 ) -> Verdict:
     """Judge by all that was found; see `Verdict`."""
     colours = {walk.name: walk.colours for walk in walks}
-    faults = [*_useless(walks, coverage), *_clocks(odometry, clocks), *_views(walks, odometry, clocks, cameras)]
+    faults = [*_useless(walks, coverage), *_clocks(odometry, clocks), *_views(walks, odometry, clocks)]
     if odometry is not None:
         # Images show already which of poses and odometry is turned or left-handed, where one of both agrees with them.
         sides = [{check.is_right for check in walk.checks if check.orientations} for walk in walks]
@@ -82,7 +82,7 @@ def verdict(
     advice = [] if coverage is None else [*_coverage(coverage)]
     for share, sentence in (each for walk in walks for each in _images(walk)):
         (faults if share > _MOST else advice).append(sentence)
-    advice += [*_cameras(cameras), *_scale(odometry), *_without(walks)]
+    advice += [*_cameras(cameras), *_focal_lengths(walks, cameras), *_scale(odometry), *_without(walks)]
     advice += [] if swapped else said_of_bluish_colours(colours)
     if coverage is not None and predictions is not None:
         advice += _model(coverage, predictions)
@@ -116,15 +116,12 @@ def _views(
     walks: Sequence[Walk],
     odometry: OdometryCheck | None,
     clocks: Sequence[ImageClock],
-    cameras: Mapping[str, CameraCheck],
 ) -> Iterator[str]:
-    """Contradictions of images and poses."""
-    # A better sentence on focal lengths follows.
-    has_focal = len(cameras) == 1 and all(camera.disagrees and camera.of_all for camera in cameras.values())
+    """Contradictions of images and poses, but for focal lengths, without which the network is trained."""
     explained = {clock.name for clock in clocks if abs(clock.late_ms or 0.0) >= _IMAGES_LATE_MS}
     has_units = odometry is not None and odometry.axes is not None and odometry.axes.unit is not None
     for walk in walks:
-        own = [replace(check, focal=None) for check in walk.checks] if has_focal else walk.checks
+        own = [replace(check, focal=None) for check in walk.checks]
         # Views that agree with no orientation do so once clocks are right.
         yield from said_of_views(walk.name, [c for c in own if c.orientations or walk.name not in explained])
         speed = walk.speed_m_per_s
@@ -256,6 +253,14 @@ def _cameras(cameras: Mapping[str, CameraCheck]) -> Iterator[str]:
                 f"correct the intrinsics{f' of {name}' if len(cameras) > 1 else ''} (camera_info, intrinsics.json), or"
                 f" leave them to `train`, which uses the fitted ones for landmarks: {camera.in_words}"
             )
+
+
+def _focal_lengths(walks: Sequence[Walk], cameras: Mapping[str, CameraCheck]) -> Iterator[str]:
+    """Wrong focal lengths of recordings, where no sentence on the one camera of all says it better."""
+    if len(cameras) == 1 and all(camera.disagrees and camera.of_all for camera in cameras.values()):
+        return
+    for walk in walks:
+        yield from said_of_focal_length(walk.name, walk.checks)
 
 
 def _without(walks: Sequence[Walk]) -> Iterator[str]:

@@ -207,10 +207,10 @@ def gather(
     basis = Basis.of(sampled)
     count = int(np.clip(_MOST_FEATURES / len(key), _LEAST_FEATURES, _FEATURES))
     known, reduced = known if count == _FEATURES else {}, []
-    for done, image in enumerate(key.tolist()):
-        if advance is not None:
-            advance(done, len(key))
+    for image in key.tolist():
         reduced.append(basis.reduced(known.pop(image, None) or extract(view(image), count, longest=VIEW_PX)))
+        if advance is not None:
+            advance(len(reduced), len(key))
     own = poses[key]
     pairs = {(min(i, j), max(i, j)) for i, others in neighbours(own, depth_m) for j in others.tolist()}
     matches = {(i, j): mutual_matches(reduced[i].descriptors, reduced[j].descriptors, RATIO) for i, j in sorted(pairs)}

@@ -28,6 +28,7 @@ from sequences.visual_odometry.odometry import VisualOdometry
 from sequences.visual_odometry.sequence import VisualSequence
 from vapor.cache import digest
 from vapor.checkpoints.checkpoint import ModelDescription
+from vapor.evaluation.trained_images import said_of_trained_images
 from vapor.landmarks.localize import VerifiedPose
 from vapor.landmarks.verify import ShownLandmarks
 from vapor.observation import VaporObservationModel
@@ -36,7 +37,6 @@ from vapor.pipeline.localize import localize
 from vapor.pipeline.model import LoadedModel, load_model
 from vapor.pipeline.odometry import USES, camera_of_motion, makes_odometry, require_one_source, usual_depth_m
 from vapor.pipeline.results import RESULTS, RunResult, write_results
-from vapor.pipeline.trained_images import said_of_trained_images
 from vapor.pipeline.unrecognised import MOST_IMAGES, SeenImage, are_unrecognised, why_unrecognised
 from vapor.pipeline.verticals import Verticals
 from vapor.reporting.outline import Outline

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from filtering.errors import listed
+from filtering.errors import length_said, listed
 from vapor.calibration.error_correlation import LEAST_IMAGES
 from vapor.checkpoints.scene_scale import spaced, typical_side_m
 from vapor.training_data.ground import (
@@ -101,7 +101,8 @@ def hold_out(images: TrainingSet, fraction: float) -> Split:
     notes = [f"held out: {_in_words(images, held_out)}; other passes show the same ground"]
     if alone.any():
         notes.append(
-            f"trained on, as no other recording shows it within {near_m:.2g} m and 45°: {_in_words(images, alone)}"
+            f"trained on, as no other recording shows it within {length_said(near_m)} and 45°:"
+            f" {_in_words(images, alone)}"
         )
     left = int((~training & ~held_out).sum())
     if left:
@@ -139,10 +140,9 @@ def _within_one_pass(images: TrainingSet, way: Float64[np.ndarray, " n"], fracti
             " give held-out data"
         )
         return Split(images, images, np.zeros(len(images), bool), (note,), images, near_m)
-    count = sum(1 for _ in runs(held_out, images.sequence))
     note = (
-        f"held out: {held_out.sum()} images in {count} short stretches, as no pass leads over ground that another"
-        f" shows, too; {(left_out & ~held_out).sum()} images about them are left out"
+        f"held out: the middles of short stretches, {held_out.sum()} images: {_in_words(images, held_out)}; no pass"
+        f" leads over ground that another shows, and {(left_out & ~held_out).sum()} images about them are left out"
     )
     return Split(images.select(np.flatnonzero(~left_out)), images, held_out, (note,), images, near_m, BETWEEN)
 
@@ -150,7 +150,9 @@ def _within_one_pass(images: TrainingSet, way: Float64[np.ndarray, " n"], fracti
 def within_map(training: TrainingSet, held_out: TrainingSet) -> Split:
     """Evaluate on those held-out images whose surroundings training images show."""
     shown, near_m = shown_around(held_out.poses, training.poses)
-    outside = f"not evaluated on, as no training image is within {near_m:.2g} m and 45°: {_in_words(held_out, ~shown)}"
+    outside = (
+        f"not evaluated on, as no training image is within {length_said(near_m)} and 45°: {_in_words(held_out, ~shown)}"
+    )
     notes = () if shown.all() else (outside,)
     return Split(training, held_out, shown, notes, training, near_m, _GIVEN if shown.any() else "")
 

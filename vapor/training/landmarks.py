@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool
 
+from filtering.errors import length_said
 from filtering.mapped_views import MappedViews
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
@@ -27,7 +30,7 @@ from vapor.checkpoints.calibration import Calibration
 from vapor.checkpoints.scene_scale import log_clutter_density, spaced
 from vapor.evaluation.seen_images import describe_images
 from vapor.evaluation.validation import predict
-from vapor.landmarks.build import Advance, BuiltMap, Material, build
+from vapor.landmarks.build import BuiltMap, Material, build
 from vapor.landmarks.landmark_map import ViewCamera
 from vapor.landmarks.localize import LandmarkLocalizer, VerifiedPose
 from vapor.landmarks.verify import Verification
@@ -74,21 +77,23 @@ class FoundLandmarks:
 
 
 def find_landmarks(
-    images: TrainingSet, choice: CameraChoice, advance: Advance = lambda done, total: None
+    images: TrainingSet,
+    choice: CameraChoice,
+    advance: Callable[[Literal["landmarks", "localizing by landmarks"], int, int], None] = lambda stage, done, of: None,
 ) -> tuple[FoundLandmarks | None, tuple[str, ...]]:
     """Landmarks of training images with views, or None, and findings in sentences.
 
-    `advance` is called with the number of images done and of all, stage by stage.
+    `advance` is called with the stage, the number of images done, and of all.
     """
     if images.view_camera is None or not len(images.views):
         return None, ()
-    material = material_of(images, advance)
+    material = material_of(images, partial(advance, "landmarks"))
     if material is None:
         return None, (_NONE.format("no two images show the same from two sides"),)
     built, notes = _best_map(material, choice, images.camera_size[0])
     if built is None:
         return None, (*notes, _NONE.format("hardly any point is seen where it must be by the poses"))
-    left_out = leave_out(built, advance=advance)
+    left_out = leave_out(built, advance=partial(advance, "localizing by landmarks"))
     verified = fit_verified_errors(left_out, log_clutter_density(images.poses))
     if verified is None:
         few = f"without the images taken near them in time they verify the poses of {len(left_out.right)} images only"
@@ -104,8 +109,8 @@ def find_landmarks(
         )
     verification = fit_reach(left_out, verified.effective_images)
     found += (
-        f"; they reach views that differ by {verification.reach * built.material.depth_m:.1f} m, and beyond"
-        f" {verification.elsewhere:.0%} are taken for another place"
+        f"; an image shows them where its view differs by up to {length_said(verification.reach * material.depth_m)}"
+        f" from those of the map; of images further away {verification.elsewhere:.0%} are taken for another place"
     )
     return FoundLandmarks(built, verified, verification, images), (*notes, found)
 

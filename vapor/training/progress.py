@@ -21,20 +21,27 @@ class Progress:
 
     Attributes:
         stage: Present stage.
-        done: Number of images or steps done; steps count from the first start of an interrupted training.
-        total: Steps or images in all; None while reading.
-        epoch: The current epoch, from 1.
-        epochs: Epochs in all.
+        done: Number of images or steps of this stage done; steps count from the first start of an interrupted training.
+        total: Steps or images of this stage; None while reading.
+        epoch: The current epoch of this stage, from 1.
+        epochs: Epochs of this stage.
         loss: Mean training loss of this epoch so far.
-        validation: Figures of the last epoch that was evaluated.
+        validation: Figures of the last epoch that was evaluated; None in the training on everything, of which none is.
         notes: The choice of held-out images with its reasons, once before the first step.
-        left_s: Seconds that the epochs left will take, by the time of some first steps and of the epochs so far; once
-            before the first epoch, too. None where it is not known: the number of epochs was given, or a training goes
-            on.
+        left_s: Seconds that this stage's epochs left will take, by the time of some first steps and of the epochs so
+            far; once before the first epoch, too. None where it is not known: the number of epochs was given, or a
+            training goes on.
     """
 
     stage: Literal[
-        "reading", "holding out", "training", "landmarks", "calibrating", "checking", "training on everything"
+        "reading",
+        "holding out",
+        "training",
+        "landmarks",
+        "localizing by landmarks",
+        "calibrating",
+        "checking",
+        "training on everything",
     ]
     done: int
     total: int | None = None

@@ -167,14 +167,14 @@ def _train(
     planned = None
     if not (state.epochs or config.epochs):
         planned = from_first(plan(state, split, len(evaluated), config))
-        report(Progress("training", 0, epochs=planned.epochs, left_s=planned.seconds))
+        report(Progress("training", 0, epochs=planned.epochs, left_s=planned.left_s(0, 0.0, 0.0)))
         state.epochs = planned.epochs
     state.epochs = state.epochs or config.known_epochs
     trainer = Trainer(state, split, replace(config, epochs=state.epochs), saving, report, planned)
     model, found, of_landmarks = trainer.learn(), None, ()
     if is_first():
         landmarks, of_landmarks = find_landmarks(
-            split.everything, config.camera, lambda *where: report(Progress("landmarks", *where))
+            split.everything, config.camera, lambda *where: report(Progress(*where))
         )
         found = calibrate_and_check(model, split, config, landmarks, lambda *where: report(Progress(*where)))
 

@@ -35,7 +35,7 @@ class Trainer:
         state: Its state.
         config: The configuration, with its number of epochs.
         goes_on: Whether held-out images are learned from once the model was evaluated.
-        epochs: Number of epochs, with those after the evaluation.
+        epochs: Number of epochs, with those after the evaluation, which are a stage of their own in the progress.
         best: Figures of the best epoch so far.
     """
 
@@ -108,20 +108,19 @@ class Trainer:
         state, begin_s = self.state, perf_counter()
         finished = state.epoch >= state.epochs
         config, since = (finishing(self.config), state.epochs) if finished else (self.config, 0)
-        steps = [steps_in_epoch(self._images(epoch), config) for epoch in range(self.epochs)]
-        before, planned = sum(steps[: state.epoch]), self._planned
+        epochs = (self.epochs if finished else state.epochs) - since
+        steps, epoch, planned = steps_in_epoch(self._images(state.epoch), config), state.epoch - since, self._planned
 
         def report(step: int, loss: float) -> None:
-            done = step / steps[state.epoch]
             progress = Progress(
                 "training on everything" if finished else "training",
-                before + step,
-                sum(steps),
-                epoch=state.epoch + 1,
-                epochs=self.epochs,
+                epoch * steps + step,
+                epochs * steps,
+                epoch=epoch + 1,
+                epochs=epochs,
                 loss=loss,
-                validation=state.history[-1] if state.history else None,
-                left_s=None if planned is None else planned.left_s(state.epoch, done, self._took_s),
+                validation=None if finished or not state.history else state.history[-1],
+                left_s=None if planned is None else planned.left_s(state.epoch, step / steps, self._took_s),
             )
             self._report(progress)
 
@@ -184,9 +183,13 @@ class Plan:
         return sum(self.epoch_s)
 
     def left_s(self, epoch: int, done: float, took_s: float) -> float:
-        """Seconds left, when a fraction of an epoch is done and those before it, counted from 0, took so long."""
-        before_s = sum(self.epoch_s[:epoch])
-        return (self.seconds - before_s - done * self.epoch_s[epoch]) * (took_s / before_s if before_s else 1.0)
+        """Seconds left of the epochs before the finish, or of the finish.
+
+        A fraction of an epoch is done, and those before it, counted from 0, took so long.
+        """
+        before_s, until = sum(self.epoch_s[:epoch]), self.epochs if epoch < self.epochs else len(self.epoch_s)
+        left_s = sum(self.epoch_s[epoch:until]) - done * self.epoch_s[epoch]
+        return left_s * (took_s / before_s if before_s else 1.0)
 
 
 def plan(state: TrainingState, split: Split, evaluated: int, config: TrainConfig) -> Plan:
@@ -198,7 +201,7 @@ def plan(state: TrainingState, split: Split, evaluated: int, config: TrainConfig
     batch = min(config.batch_size, len(training))
     rows = np.resize(np.arange(len(training)), (_WARM_UP + _TIMED) * batch)
     stamps = [perf_counter()]
-    once = replace(config, epochs=1, small_images_first=0.0)
+    once = replace(config, epochs=1, batch_size=batch, small_images_first=0.0)
     train_epoch(trial, training.select(rows), once, lambda step, loss: stamps.append(perf_counter()))
     per_image = float(np.median(np.diff(stamps[_WARM_UP:]))) / batch
     evaluation = _EVALUATION * evaluated / evaluation_interval(len(training), evaluated)

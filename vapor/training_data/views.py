@@ -294,6 +294,12 @@ def said_of_views(name: str, checks: Sequence[ViewCheck]) -> list[str]:
             f" ({np.degrees(apart[0].residual_turned):.1f}° off){agree}: are these of one recording, by one"
             " clock, and of this camera?"
         )
+    return [*notices, *said_of_focal_length(name, checks)]
+
+
+def said_of_focal_length(name: str, checks: Sequence[ViewCheck]) -> list[str]:
+    """A notice on a recording whose focal length is not the stated one, by its images and poses; else nothing."""
+    right, notices = [check for check in checks if check.is_right], []
     for check in [check for check in checks if check.focal is not None][:1]:
         odometry = "" if check.by == "true poses" else ", or odometry has turns too large or too small"
         fine = odometry and any(other.by == "true poses" for other in right)

@@ -111,7 +111,7 @@ def list_stamped(
     times = np.array(times_ns, np.int64)
     poses, covered = interpolate(truth.times_ns, truth.poses, times, max_gap_s=MAX_TRUE_POSE_GAP_S)
     kept = np.flatnonzero(covered)
-    skipped["true pose does not cover"] += len(times) - len(kept)
+    skipped["no true pose near its time"] += len(times) - len(kept)
     cameras = [None] * len(kept)
     used = [files[i] for i in kept]
     return PosedImages(layout, used, times[kept], poses[kept], cameras, skipped=+skipped, notices=rows.notices)

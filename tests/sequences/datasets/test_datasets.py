@@ -59,7 +59,7 @@ def test_what_is_left_out_of_frames_is_counted(tmp_path: Path) -> None:
     files[4].write_bytes(b"no image")
     frames = posed_frames(folder)
     assert [int(frame.image[0, 0, 0]) // 10 for frame in frames] == [0, 1, 3, 5, 6, 7, 8]
-    assert frames.skipped == {"no image": 1, "undecodable image": 1, "true pose does not cover": 1}
+    assert frames.skipped == {"no image": 1, "undecodable image": 1, "no true pose near its time": 1}
     rows = (folder / "rgb.txt").read_text().splitlines()
     (folder / "rgb.txt").write_text("\n".join(rows[:-1]))
     assert list_images(folder).skipped == {"no image": 1, "image not in the list": 1}
@@ -211,7 +211,7 @@ def test_what_a_conversion_leaves_out_is_counted(tmp_path: Path) -> None:
     write_tum(odometry, truth_at([BEGIN_NS + 50_000_000 + 10_000_000 * i for i in range(40)]))
     summary = convert(folder, tmp_path / "out.mcap", odometry=odometry)
     # 0 and 1 come before the odometry, 9 after the true poses, 4 is broken.
-    assert summary.skipped == {"true pose does not cover": 1, "before odometry begins": 2, "undecodable image": 1}
+    assert summary.skipped == {"no true pose near its time": 1, "before odometry begins": 2, "undecodable image": 1}
     assert summary.num_images == 6
     reader = SequenceReader(tmp_path / "out.mcap")
     assert len(list(reader)) == 6

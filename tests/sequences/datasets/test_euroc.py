@@ -50,7 +50,7 @@ def test_euroc_images_have_the_interpolated_pose_of_the_left_camera(tmp_path: Pa
     (folder / "mav0" / "state_groundtruth_estimate0" / "data.csv").write_text("\n".join(kept))
     frames = check_near(folder, [0, 1, 2, 3], EUROC_TIMES)
     assert list_images(folder).layout == "EuRoC MAV"
-    assert list_images(folder).skipped == {"true pose does not cover": 1}
+    assert list_images(folder).skipped == {"no true pose near its time": 1}
     assert [frame.time_ns for frame in posed_frames(folder / "mav0")] == [frame.time_ns for frame in frames]
 
 
@@ -163,7 +163,7 @@ def test_what_a_euroc_sequence_leaves_out_is_counted(tmp_path: Path) -> None:
     assert list_images(folder).skipped == {
         "no image": 1,
         "time stamp not increasing": 1,
-        "true pose does not cover": 1,
+        "no true pose near its time": 1,
         "image not in the list": 1,
     }
     (folder / "mav0" / "state_groundtruth_estimate0" / "data.csv").unlink()

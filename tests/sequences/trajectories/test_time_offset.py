@@ -53,7 +53,7 @@ def test_known_offsets_are_found_within_five_milliseconds(walk: Walk, rate_hz: i
     [
         (lambda t: 0.0 * t, r"that of the \w+ varies by .* rad/s, expected at least 0\.02"),
         (lambda t: 0.5 * t, r"that of the \w+ varies by .* rad/s, expected at least 0\.02"),
-        (lambda t: np.sin(2 * t), r"correlates by \d\.\d+ at best, to .* and by (0\.9\d|1\.00) at another offset"),
+        (lambda t: np.sin(2 * t), r"as much alike at two offsets \(correlation (0\.9\d|1\.00) and (0\.9\d|1\.00)\)"),
     ],
     ids=["standing", "turning steadily", "turning to and fro"],
 )
@@ -73,7 +73,7 @@ def test_two_walks_of_other_days_do_not_agree() -> None:
     rng = np.random.default_rng(0)
     odometry, _ = two_records(WALKS[0](60.0, rng), 30, 0.0, rng)
     _, poses = two_records(WALKS[0](60.0, rng), 30, 0.0, rng)
-    with pytest.raises(SequenceError, match="rotation determines no time offset: that of odometry and"):
+    with pytest.raises(SequenceError, match=r"no time offset: odometry and poses turn (as much )?alike"):
         find_time_offset(odometry, poses)
 
 

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import asdict, replace
+from shutil import copyfile
 
 import numpy as np
 import pytest
@@ -9,6 +10,9 @@ import torch
 
 from filtering.measurement_noise import MeasurementNoise
 from filtering.se3 import Poses
+from sequences.datasets.listing import list_images
+from tests.helpers.checkpoints import remembering
+from tests.helpers.command_line import refuse
 from tests.helpers.data_sets import make_7scenes
 from tests.helpers.erring_posteriors import anywhere
 from tests.helpers.full import full
@@ -141,10 +145,24 @@ def test_training_calibrates_at_its_end_and_stores_values_and_gains(tmp_path, mo
     assert without.checkpoint.calibration == Calibration(0.3, 0.1, default_errors(without.checkpoint.prior_poses))
 
 
+@pytest.fixture
+def knowing(monkeypatch):
+    """Every network takes images for where they are, to some centimetres and degrees."""
+    rng = np.random.default_rng(0)
+
+    def predict_all(network, parts, seed, advance):
+        return [[pose @ Poses.exp(0.05 * rng.standard_normal((100, 6))) for pose in _each(part)] for part in parts]
+
+    def _each(images):
+        return (images.poses[i] for i in range(len(images)))
+
+    monkeypatch.setattr(calibrate_module, "predict_all", predict_all)
+
+
 # --- the command -----------------------------------------------------------------------------------
 
 
-@pytest.mark.usefixtures("widest_places")
+@pytest.mark.usefixtures("widest_places", "knowing")
 def test_the_command_writes_the_same_weights_with_another_calibration(tiny_model, tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     walk, output = Walk(60).write(tmp_path / "walk.mcap"), tmp_path / "m.safetensors"
@@ -152,7 +170,7 @@ def test_the_command_writes_the_same_weights_with_another_calibration(tiny_model
     printed = capsys.readouterr().out
     assert "60 held-out images" in printed
     assert "correlated_fraction" in printed
-    assert "how far the weights of two places of an image tell which is right (1: by their ratio" in printed
+    assert "trust in the weights of places (1: " in printed
     assert "expected calibration error" in printed
     assert max(len(line) for line in printed.splitlines() if set("│┃") & set(line)) <= 80
     assert "true poses in the 50, 90, 95 % regions of single images" in printed
@@ -165,7 +183,7 @@ def test_the_command_writes_the_same_weights_with_another_calibration(tiny_model
     assert all(old[name].dtype == new[name].dtype and torch.equal(old[name], new[name]) for name in old)
 
 
-@pytest.mark.usefixtures("widest_places")
+@pytest.mark.usefixtures("widest_places", "knowing")
 def test_the_command_tells_what_it_left_out_of_the_data(tiny_model, tmp_path, capsys):
     names = ("seq-01", "seq-02", "seq-03")
     scene = make_7scenes(tmp_path / "chess", num_images=20, sequences=names)
@@ -192,6 +210,43 @@ def test_the_command_refuses_data_without_poses_or_too_little(num_images, posed,
     assert "walk.mcap" in error
     assert said in error
     assert not output.exists()
+
+
+def test_the_output_is_named_as_a_model(tiny_model, tmp_path, capsys):
+    words = ["calibrate", str(tiny_model), "walk.mcap", "--output", str(tmp_path / "model.onnx")]
+    refuse(words, capsys, "model.onnx: expected the name of a model file to write, which ends in .safetensors")
+
+
+@pytest.mark.usefixtures("widest_places")
+@pytest.mark.parametrize("is_new", [True, False])
+def test_images_of_another_place_are_refused_and_the_output_stays_as_it_was(is_new, tiny_model, tmp_path, capsys):
+    walk, output = Walk(24).write(tmp_path / "walk.mcap"), tmp_path / "m.safetensors"
+    if not is_new:
+        copyfile(tiny_model, output)
+    refuse(
+        ["calibrate", str(tiny_model), str(walk), "--output", str(output), "--device", "cpu"],
+        capsys,
+        "walk.mcap: the best place of a single image is the true one in 0 % of 24 images, expected at least 2 %",
+        "of another place",
+    )
+    assert output.exists() is not is_new
+    assert is_new or output.read_bytes() == tiny_model.read_bytes()
+
+
+@pytest.mark.usefixtures("widest_places", "knowing")
+def test_images_that_most_were_trained_on_are_refused_and_some_are_said(tmp_path, capsys):
+    scene = make_7scenes(tmp_path / "scene", num_images=40)
+    model = remembering(list_images(scene).world_from_camera[:20], tmp_path / "model.safetensors")
+    output = tmp_path / "m.safetensors"
+    words = ["--output", str(output), "--device", "cpu"]
+    for more in ([], ["--ood-only"]):
+        said = "scene@:30: the model was trained on 20 of the 30 images, by their true poses"
+        refuse(["calibrate", str(model), f"{scene}@:30", *words, *more], capsys, said)
+        assert not output.exists()
+    assert main(["calibrate", str(model), str(scene), *words]) == 0
+    assert "20 of 40 images were trained on" in capsys.readouterr().out
+    assert main(["calibrate", str(model), f"{scene}@20:", *words]) == 0
+    assert "were trained on" not in capsys.readouterr().out
 
 
 # --- kernel widths ---------------------------------------------------------------------------------

@@ -13,7 +13,7 @@ from tests.helpers.command_line import main
 from tests.helpers.sequence_files import Walk
 from tests.helpers.tiny_model import NETWORK, altered
 from vapor.benchmark.ood_images import CHANGED, NARROWER, OUT_OF_DISTRIBUTION, evaluate_flags
-from vapor.calibration.calibrate import calibrate_model
+from vapor.calibration.calibrate_model import calibrate_model
 from vapor.calibration.ood_model import fit_ood_model, learn_ood_model
 from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
 from vapor.evaluation.seen_images import describe_images

@@ -108,7 +108,7 @@ def test_a_folder_with_nothing_to_localize_says_what_was_looked_for(tiny_model, 
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        (b"", "expected the MCAP magic"),
+        (b"", "is empty, expected an MCAP file"),
         (b"hello, world" * 50, "starts with b'hello, w', expected the MCAP magic"),
         (b"#ROSBAG V2.0\n" + bytes(99), "damaged or unfinished ROS 1 bag"),
         (b"SQLite format 3\0" + bytes(99), "damaged SQLite"),

@@ -86,6 +86,7 @@ def test_a_model_file_can_be_read_by_others_than_its_owner(tiny_model, tmp_path)
         ("blind.mcap", "m.safetensors", ["blind.mcap", "no true poses found", "--ground-truth-topic /odom"]),
         ("walk.mcap", "folder/m.safetensors", ["m.safetensors: cannot be written", "expected the folder"]),
         ("walk.mcap", "taken", ["taken: is a folder, expected the name of a model file"]),
+        ("walk.mcap", "model.h5", ["model.h5: expected the name of a model file to write, which ends in .safetensors"]),
     ],
 )
 def test_a_training_that_cannot_be_is_refused(data, output, said, walk_of_25, tmp_path, capsys):

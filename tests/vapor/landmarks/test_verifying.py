@@ -104,7 +104,9 @@ def test_landmarks_of_the_place_say_that_an_image_is_not_foreign():
 
 
 def test_errors_are_found_on_images_without_those_near_them_in_time(built):
-    left_out = leave_out(built)
+    told = []
+    left_out = leave_out(built, advance=lambda done, total: told.append((done, total)))
+    assert told == [(done, len(left_out.found)) for done in range(1, len(left_out.found) + 1)]
     assert left_out.verified > 0.5
     found = fit_verified_errors(left_out, -6.0)
     assert found.images >= 20

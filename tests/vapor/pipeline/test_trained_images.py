@@ -1,22 +1,17 @@
 """Runs on data sets: true poses are compared with, and images that the model was trained on are said."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-import torch
 
 from filtering.se3 import Poses
 from sequences.datasets.listing import list_images
-from tests.helpers.checkpoints import any_checkpoint
+from tests.helpers.checkpoints import remembering
 from tests.helpers.command_line import refuse, report_of, words_of_run
 from tests.helpers.data_sets import make_7scenes
-from vapor.checkpoints.file_format import save_checkpoint
+from vapor.evaluation.trained_images import said_of_trained_images
 from vapor.pipeline.config import RunConfig
 from vapor.pipeline.model import load_model
 from vapor.pipeline.run import request_of
-from vapor.pipeline.trained_images import said_of_trained_images
-from vapor.regressors.scene_box import SceneBox
 from vapor.track import main
 from vapor.training_data.entries import open_sequences
 
@@ -24,22 +19,6 @@ from vapor.training_data.entries import open_sequences
 @pytest.fixture
 def scene(tmp_path):
     return make_7scenes(tmp_path / "scene", num_images=8)
-
-
-def _remembering(poses: Poses, path):
-    """A model that remembers images at these poses."""
-    checkpoint = any_checkpoint("retrieval", in_distribution=False)
-    assert checkpoint.memory is not None
-    memory = replace(
-        checkpoint.memory,
-        keys=checkpoint.memory.keys[: len(poses)],
-        views=checkpoint.memory.views[: len(poses)],
-        translation=torch.from_numpy(poses.translation).float(),
-        rotation=torch.from_numpy(poses.rotation).float(),
-    )
-    box = SceneBox.around(poses)
-    save_checkpoint(path, replace(checkpoint, memory=memory, prior_poses=poses, box=box), store_float16=True)
-    return path
 
 
 def test_true_poses_of_a_data_set_are_compared_with(scene, tiny_model, tmp_path):
@@ -52,7 +31,7 @@ def test_true_poses_of_a_data_set_are_compared_with(scene, tiny_model, tmp_path)
 
 
 def test_the_images_that_a_training_left_out_are_run_on_by_their_numbers(scene, tmp_path):
-    model = _remembering(list_images(scene).world_from_camera[3:], tmp_path / "model.safetensors")
+    model = remembering(list_images(scene).world_from_camera[3:], tmp_path / "model.safetensors")
     part = scene.with_name("scene@:3")
     assert main(words_of_run(part, model, tmp_path / "out", ["--odometry", "none"])) == 0
     report = report_of(tmp_path / "out")
@@ -95,7 +74,7 @@ def test_a_folder_whose_name_ends_like_a_part_is_a_folder(scene, tiny_model, tmp
 
 def test_images_that_were_trained_on_are_said(scene, tmp_path, capsys):
     poses = list_images(scene).world_from_camera
-    model = _remembering(poses[3:], tmp_path / "model.safetensors")
+    model = remembering(poses[3:], tmp_path / "model.safetensors")
     assert main(words_of_run(scene, model, tmp_path / "out", ["--odometry", "none"])) == 0
     said = "5 of 8 images were trained on: the model remembers images with exactly their true poses"
     assert report_of(tmp_path / "out")["notices"][0].startswith(said)

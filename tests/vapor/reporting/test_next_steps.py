@@ -10,7 +10,7 @@ from sequences.frame import Camera
 from sequences.reading.counts import ImageCounts
 from tests.helpers.simulated_run import simulated_record, true_walk
 from vapor.cameras import AsTakenBy
-from vapor.pipeline.trained_images import said_of_trained_images
+from vapor.evaluation.trained_images import said_of_trained_images
 from vapor.pipeline.unrecognised import why_unrecognised
 from vapor.reporting.calibration import too_sure_notices
 from vapor.reporting.next_steps import MOST_STEPS, next_steps

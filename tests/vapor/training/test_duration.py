@@ -28,7 +28,12 @@ def test_a_model_that_was_judged_learns_from_what_was_held_out(finished, tmp_pat
     result, told = finished
     stages = [p.stage for p in told if p.epoch]
     assert stages == ["training"] * 4 * 9 + ["training on everything"] * 2 * 12  # 72 and 96 images
-    assert [p.done for p in told if p.epoch] == list(range(1, 61))
+    assert [p.done for p in told if p.epoch] == [*range(1, 37), *range(1, 25)]
+    assert {(p.stage, p.epochs, p.total) for p in told if p.epoch} == {
+        ("training", 4, 36),
+        ("training on everything", 2, 24),
+    }
+    assert [p.epoch for p in told if p.epoch] == [*np.repeat(range(1, 5), 9), *np.repeat(range(1, 3), 12)]
     assert [p.epoch for p in result.history] == [1, 2, 3, 4]
     assert result.checkpoint.training["training_images"] == 96
     assert result.checkpoint.training["images_seen"] == result.images_seen == 4 * 72 + 2 * 96
@@ -49,10 +54,10 @@ def test_held_out_data_that_were_given_are_never_learned_from(tmp_path):
 @full
 @pytest.mark.usefixtures("unchecked")
 def test_interrupted_before_and_after_it_was_judged_a_training_ends_with_the_same_weights(finished, tmp_path):
-    for step in (20, 50):
+    for stage, step in (("training", 20), ("training on everything", 14)):
 
-        def progress(p, step=step):
-            if p.epoch and p.done == step:
+        def progress(p, stage=stage, step=step):
+            if p.stage == stage and p.done == step:
                 raise Interrupted
 
         with pytest.raises(Interrupted):
@@ -105,9 +110,19 @@ def test_how_long_all_epochs_will_take_is_told_before_the_first_one(tmp_path):
     assert result.evaluated == 24
 
 
+@pytest.mark.filterwarnings("error")
+def test_the_time_of_fewer_images_than_a_batch_is_planned_too(tmp_path):
+    told = []
+    config = replace(TINY, epochs=None, batch_size=64, most_epochs=1, calibrate=False)
+    train_on({"a": make_frames(10)}, tmp_path / "m.safetensors", config, progress=told.append)
+    planned = next(each for each in told if each.left_s is not None)
+    assert 0.0 < planned.left_s < 60.0
+
+
 def test_the_time_left_is_by_the_plan_as_fast_as_the_epochs_so_far():
     planned = Plan(3, (8.0, 4.0, 4.0, 2.0))  # the first epoch extracts features, which takes as long as the rest
     assert planned.seconds == 18.0
-    assert planned.left_s(0, 0.5, 0.0) == 14.0
-    assert planned.left_s(1, 0.0, 16.0) == pytest.approx(20.0)
+    assert planned.left_s(0, 0.5, 0.0) == 12.0
+    assert planned.left_s(1, 0.0, 16.0) == pytest.approx(16.0)
+    assert planned.left_s(3, 0.5, 16.0) == 1.0
     assert planned.left_s(3, 1.0, 16.0) == 0.0

@@ -85,8 +85,10 @@ def test_of_ground_seen_once_or_the_other_way_round_the_middles_of_short_stretch
         for side in (learned[:at][::-1], learned[at:]):  # but what is there is shown before and after
             assert np.argmax(side) * STEP_M < 2.0
     (note,) = split.notes
-    assert note.startswith(f"held out: {held.sum()} images in")
-    assert "short stretches, as no pass leads over ground that another shows" in note
+    assert note.startswith(f"held out: the middles of short stretches, {held.sum()} images: ")
+    last = int(np.flatnonzero(np.diff(held.astype(int), append=0) < 0)[0])  # of the first stretch
+    assert f"{images.names[images.sequence[last]]}, images {int(np.argmax(held))} to {last}" in note
+    assert "no pass leads over ground that another shows" in note
 
 
 def test_of_a_few_images_nothing_is_held_out():

@@ -11,7 +11,7 @@ from filtering.se3 import Poses
 from filtering.storeys import Storeys
 from tests.helpers.pages import ReadPage
 from tests.helpers.simulated_run import simulated_record, simulated_steps
-from vapor.pipeline.trained_images import said_of_trained_images
+from vapor.evaluation.trained_images import said_of_trained_images
 from vapor.reporting.calibration import format_calibration
 from vapor.reporting.html.run_page import run_page, verdict
 from vapor.reporting.record import Moment, RunRecorder

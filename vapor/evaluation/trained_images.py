@@ -1,4 +1,4 @@
-"""Images of a run that its model was trained on, by their true poses."""
+"""Images that a model was trained on, by their true poses."""
 
 from __future__ import annotations
 
@@ -11,20 +11,31 @@ from filtering.se3 import Poses
 _LEAST = 3  # of equal poses: recordings often begin at the identity
 
 
-def said_of_trained_images(truth: Sequence[Poses | None], trained: Poses) -> str | None:
-    """How many images have exactly the true pose of a training image; None where hardly any has.
+def count_trained_images(truth: Poses, trained: Poses) -> int:
+    """Number of images with exactly the true pose of a training image; 0 where hardly any has one.
 
     A pose counts that is that of one image and of one training image: a camera that stands may have one pose for long.
 
     Args:
+        truth: world_from_camera of the images, (n,).
+        trained: world_from_camera of the training images as a model remembers them, in float32, (m,).
+    """
+    if not len(truth) or not len(trained):
+        return 0
+    count = len(np.intersect1d(_once(truth), _once(trained)))
+    return count if count >= _LEAST else 0
+
+
+def said_of_trained_images(truth: Sequence[Poses | None], trained: Poses) -> str | None:
+    """How many images a model was trained on, see `count_trained_images`; None where it is hardly any.
+
+    Args:
         truth: world_from_camera of each image, one pose each; None where unknown.
-        trained: world_from_camera of the training images as a model remembers them, in float32, (n,).
+        trained: world_from_camera of the training images as a model remembers them, in float32, (m,).
     """
     known = [pose for pose in truth if pose is not None]
-    if not known or not len(trained):
-        return None
-    count = len(np.intersect1d(_once(Poses.stack(known)), _once(trained)))
-    if count < _LEAST:
+    count = count_trained_images(Poses.stack(known), trained) if known else 0
+    if not count:
         return None
     return (
         f"{count} of {len(truth)} images were trained on: the model remembers images with exactly their true poses, so"
