@@ -124,3 +124,19 @@ def _light_roughly(monkeypatch: pytest.MonkeyPatch) -> None:
         return build(scene if scene.changes else _roughly_lit(scene), split, seed)
 
     monkeypatch.setattr(Scene, "build", build_roughly)
+
+
+@pytest.fixture
+def knowing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every network takes images for where they are, to some centimetres and degrees, in a calibration."""
+    import numpy as np
+
+    from filtering.se3 import Poses
+
+    rng = np.random.default_rng(0)
+
+    def predict_all(network, parts, seed, advance):
+        truth = [[images.poses[i] for i in range(len(images))] for images in parts]
+        return [[pose @ Poses.exp(0.05 * rng.standard_normal((100, 6))) for pose in poses] for poses in truth]
+
+    monkeypatch.setattr("vapor.calibration.calibrate.predict_all", predict_all)

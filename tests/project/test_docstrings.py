@@ -120,7 +120,7 @@ def test_only_data_has_no_example_of_its_own():
 
 
 @pytest.mark.parametrize("name", [name for name in vapor.__all__ if name not in DATA])
-def test_the_example_of_a_public_name_runs(name, place, robot, monkeypatch, unchecked):
+def test_the_example_of_a_public_name_runs(name, place, robot, monkeypatch, unchecked, knowing):
     monkeypatch.chdir(place)
     found = doctest.DocTestFinder().find(getattr(vapor, name), name, module=False, globs={})
     assert any(test.examples for test in found), f"{name} has no example"

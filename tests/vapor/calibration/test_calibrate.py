@@ -145,20 +145,6 @@ def test_training_calibrates_at_its_end_and_stores_values_and_gains(tmp_path, mo
     assert without.checkpoint.calibration == Calibration(0.3, 0.1, default_errors(without.checkpoint.prior_poses))
 
 
-@pytest.fixture
-def knowing(monkeypatch):
-    """Every network takes images for where they are, to some centimetres and degrees."""
-    rng = np.random.default_rng(0)
-
-    def predict_all(network, parts, seed, advance):
-        return [[pose @ Poses.exp(0.05 * rng.standard_normal((100, 6))) for pose in _each(part)] for part in parts]
-
-    def _each(images):
-        return (images.poses[i] for i in range(len(images)))
-
-    monkeypatch.setattr(calibrate_module, "predict_all", predict_all)
-
-
 # --- the command -----------------------------------------------------------------------------------
 
 

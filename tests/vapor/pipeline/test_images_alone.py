@@ -145,11 +145,11 @@ def test_why_there_is_no_odometry_is_said(without, tiny_model, tmp_path, capsys)
     assert run(without, tiny_model, tmp_path / "out") == 0
     (said,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("odometry ")]
     looked_for = "no topic is of type nav_msgs/Odometry, and in tf camera_optical_frame does not move in a frame odom"
-    assert said == f"{SAID} and dead reckoning does not; none is recorded: {looked_for}"
+    assert said == f"{SAID}; none is recorded: {looked_for}"
     assert report_of(tmp_path / "out")["odometry"] == "visual"
     assert not any("odometry" in notice for notice in report_of(tmp_path / "out")["notices"])  # it is a plain fact
     page = ReadPage.of((tmp_path / "out" / "report.html").read_text())
-    assert "Odometry: made from the images, in a unit" in page.words
+    assert "Odometry: made from the images; their scale is unknown" in page.words
     assert f"No odometry is recorded: {looked_for}." in page.words
 
 
