@@ -71,7 +71,7 @@ def test_recordings_of_real_robots_without_images_are_refused(name, shared_data,
     path = shared_data / "ros_bags" / name
     types = "sensor_msgs/Image, sensor_msgs/CompressedImage, foxglove_msgs/CompressedVideo or ffmpeg_image_transport_ms"
     said = f"no image topic, so no images; expected one of type {types}"
-    refuse_run(path, tiny_model, earlier, capsys, path, said)
+    refuse_run(path, tiny_model, earlier, capsys, path.name, said)
 
 
 def test_of_two_cameras_of_a_real_ros_1_bag_one_must_be_named(shared_data, tiny_model, earlier, capsys):
@@ -117,7 +117,7 @@ def test_a_folder_with_nothing_to_localize_says_what_was_looked_for(tiny_model, 
 def test_garbage_is_refused(content, said, tiny_model, earlier, capsys):
     path = earlier.parent / "garbage.mcap"
     path.write_bytes(content)
-    refuse_run(path, tiny_model, earlier, capsys, path, said)
+    refuse_run(path, tiny_model, earlier, capsys, path.name, said)
 
 
 @pytest.mark.usefixtures("unchecked")

@@ -13,6 +13,7 @@ from sequences.frame import Frame
 from sequences.writer import SequenceWriter
 from tests.helpers.corridors import recorded
 from tests.helpers.data_sets import COLMAP_NAMES, colmap_row, make_colmap, true_pose
+from tests.helpers.full import full
 from tests.helpers.inspected import BEGIN_NS, only
 from tests.helpers.textured_room import CAMERA, Room, walk
 from vapor.calibration.camera_fit import fit_camera, material_of
@@ -46,9 +47,9 @@ def _checked(room, poses, *, stated, image=None):
     return views.check(recorded(poses))
 
 
-def _recorded(room, path, stated):
+def _recorded(room, path, stated, count=40):
     """A walk through the room, whose images come with this camera."""
-    poses = walk(40)
+    poses = walk(count)
     with SequenceWriter(path, camera=stated, base_from_camera=Poses.identity(), metadata={}) as writer:
         for i in range(len(poses)):
             writer.write_image(BEGIN_NS + i * 10**8, room.view(poses[i]))
@@ -87,7 +88,9 @@ def test_a_wrong_focal_length_is_said_once_with_what_fits(room, tmp_path):
 
 
 def test_a_wrong_focal_length_is_advice_beside_a_recording_of_other_intrinsics_too(room, tmp_path):
-    found = inspect([_recorded(room, tmp_path / f"{k}.mcap", stated) for k, stated in (("w", _WRONG), ("r", CAMERA))])
+    found = inspect(
+        [_recorded(room, tmp_path / f"{k}.mcap", stated, 25) for k, stated in (("w", _WRONG), ("r", CAMERA))]
+    )
     assert not any("intrinsics" in sentence for sentence in found.verdict.faults)
     assert any("intrinsics" in sentence for sentence in found.verdict.advice)
     assert only(found, "w.mcap: by true poses the images move as through a focal length ")
@@ -112,6 +115,7 @@ def test_what_tells_nothing_of_a_camera_is_no_failure(room):
         assert set(found.as_json()) == {"images", "unknown"}
 
 
+@full
 def test_what_is_said_of_the_camera_is_what_a_training_says(room, tmp_path):
     path, poses = tmp_path / "w.mcap", walk(40)
     wrong = replace(CAMERA, fx=0.93 * CAMERA.fx, fy=0.93 * CAMERA.fy)
@@ -148,9 +152,9 @@ def _of_two_cameras(root, room, poses):
 
 
 def test_images_of_other_intrinsics_are_resampled_to_those_of_most_images_as_for_a_training(room, tmp_path):
-    root = _of_two_cameras(tmp_path / "place", room, walk(40))
+    root = _of_two_cameras(tmp_path / "place", room, walk(30))
     (check,) = inspect([root]).cameras.values()
-    assert (check.images, check.of_all) == (40, False)
+    assert (check.images, check.of_all) == (30, False)
     assert check.camera.fx == pytest.approx(CAMERA.fx)
     images = load_training_set(open_sequences([root]), (32, 32), views=True)
     assert check.in_words == fit_camera(material_of(images)).in_words(CAMERA.width)
