@@ -47,7 +47,7 @@ def _checked(room, poses, *, stated, image=None):
     return views.check(recorded(poses))
 
 
-def _recorded(room, path, stated, count=40):
+def _recorded(room, path, stated, count=30):
     """A walk through the room, whose images come with this camera."""
     poses = walk(count)
     with SequenceWriter(path, camera=stated, base_from_camera=Poses.identity(), metadata={}) as writer:
@@ -58,7 +58,7 @@ def _recorded(room, path, stated, count=40):
 
 
 def test_intrinsics_that_are_right_are_not_doubted(room):
-    found = _checked(room, walk(40), stated=CAMERA)
+    found = _checked(room, walk(30), stated=CAMERA)
     assert not found.disagrees
     assert found.in_words.startswith("200 px stated, ")
     assert found.fit.apart_px < 0.5
@@ -178,7 +178,7 @@ def test_the_points_of_a_reconstruction_are_those_of_a_training(tmp_path, monkey
 
 
 def test_where_none_are_stated_those_that_fit_are_said(room):
-    found = _checked(room, walk(40), stated=None)
+    found = _checked(room, walk(30), stated=None)
     assert found.found.fx == pytest.approx(CAMERA.fx, rel=0.02)
     assert found.in_words.startswith("no focal length is stated, ")
     assert not found.disagrees
