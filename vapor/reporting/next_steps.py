@@ -42,8 +42,7 @@ _OF_NOTICES: tuple[tuple[str, str], ...] = (
     (r"wheels slip, or something moves", "Look at the wheels: where odometry is wrong, use --odometry both."),
     (
         r"^the 90 % regions of .*, those of the filter",
-        "Take the filter's poses and covariances, or calibrate with a recording of such conditions: vapor-track"
-        " calibrate.",
+        "Take the filter's poses and covariances where the uncertainty counts.",
     ),
     (r"^the 90 % regions", "Calibrate with a recording of such conditions: vapor-track calibrate."),
 )
