@@ -199,12 +199,9 @@ class ImageSequence:
             counts.used += 1
             image, camera = self._undistorted(image, lens)
             num_unlike += camera is None and self.camera is not None
-            yield Frame(time_ns, image, None, pose, camera)
+            yield Frame(time_ns, image, None, pose, camera, number=number)
         counts.skipped[OUTSIDE] += (unread := max(self.num_images - counts.stated, 0) if _stopped(segment) else 0)
         counts.stated += unread
-        if self._posed is not None and self._part == slice(None):  # of a part nobody knows where they are
-            counts.stated += self._posed.skipped.total()
-            counts.skipped += self._posed.skipped
         counts.skipped = +counts.skipped
         if segment is None and num_there:
             raise SequenceError(f"{self.path}: {none_among(self._part, num_there, posed=self._posed is not None)}")
@@ -254,6 +251,7 @@ class ImageSequence:
     def _of_data_set(self, posed: PosedImages, rows: Rows) -> Iterator[_Dated]:
         """The images of a data set, likewise."""
         self.notices += posed.notices
+        self.notices += [f"{number} left out of the data set: {reason}" for reason, number in posed.skipped.items()]
         times_ns = posed.times_ns.tolist()
         if posed.assumed_hz is not None:
             times_ns = [int(round(1e-9 * at * posed.assumed_hz) * 1e9 // self._rate_hz) for at in times_ns]

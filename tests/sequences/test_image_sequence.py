@@ -246,7 +246,8 @@ def test_a_sequence_of_a_data_set_has_its_poses_where_its_images_lie_beside_them
     frames = list(sequence)
     assert [frame.time_ns for frame in frames] == [i * 1_000_000_000 // 30 for i in (0, 1, 3, 4)]
     assert all(frame.world_from_camera is not None for frame in frames)
-    assert sequence.skipped == {"no true pose": 1}
+    assert (sequence.skipped, sequence.counts.are_complete) == ({}, True)
+    assert "1 left out of the data set: no true pose" in sequence.notices
 
 
 def test_a_part_of_a_data_set_has_its_poses_and_the_rate_is_as_asked_for(tmp_path):

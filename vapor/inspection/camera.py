@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
@@ -36,13 +35,13 @@ def usual_of(data: Sequence[Path | str], reading: SequenceOptions | None) -> Cam
 
 
 class CameraViews:
-    """The images of one camera that have a true pose, grey and small, in a temporary file.
+    """The images of one camera that have a true pose, grey and small, in a file.
 
     Images of other intrinsics are resampled, as for a training, to those of `usual`, or else of the first image.
     """
 
-    def __init__(self, usual: Camera | None = None) -> None:
-        self._file = tempfile.TemporaryFile()  # noqa: SIM115 (it is closed with this object)
+    def __init__(self, usual: Camera | None, file: IO[bytes]) -> None:
+        self._file = file
         self._views: GreyViews | None = None
         self._camera = usual
         self._is_stated = usual is not None

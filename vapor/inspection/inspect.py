@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from itertools import count
 from pathlib import Path
@@ -88,33 +90,37 @@ def inspect(
     predicted: list[Prediction] = []
     some: EvenlySpaced[SeenImage] = EvenlySpaced(MOST_IMAGES)
     views: dict[str, CameraViews] = {}
+    files = ExitStack()  # of the views
     rng, done, row = np.random.default_rng(0), count(1), count()
 
     def take(frame: Frame) -> None:
         progress("reading images", next(done), None)
         see(frame)
-        camera = views.setdefault(frame.camera_name, CameraViews(usual))
+        if frame.camera_name not in views:
+            file = files.enter_context(tempfile.TemporaryFile())  # noqa: SIM115 (the stack closes it)
+            views[frame.camera_name] = CameraViews(usual, file)
         if frame.world_from_camera is not None:
-            camera.take(frame, next(row))
+            views[frame.camera_name].take(frame, next(row))
         if model is not None:
             some.add(lambda: (frame.image, frame.camera))
             predicted.append(Prediction.of(model.observe(frame.image, rng=rng)))
 
     usual = usual_of(data, reading)
-    walks = read_walks(data, reading, see=take)
-    images = posed_images(walks)
-    coverage = odometry = predictions = None
-    notices: tuple[str, ...] = ()
-    if images is not None:
-        progress("comparing the passes", 0, None)
-        coverage = Coverage(images)
-        progress("comparing odometry with the true poses", 0, None)
-        odometry = check_odometry(images)
-        notices = tuple(too_far(images.poses))
-    cameras = {
-        name: each.check(images, lambda done, total: progress("fitting the camera", done, total))
-        for name, each in views.items()
-    }
+    with files:
+        walks = read_walks(data, reading, see=take)
+        images = posed_images(walks)
+        coverage = odometry = predictions = None
+        notices: tuple[str, ...] = ()
+        if images is not None:
+            progress("comparing the passes", 0, None)
+            coverage = Coverage(images)
+            progress("comparing odometry with the true poses", 0, None)
+            odometry = check_odometry(images)
+            notices = tuple(too_far(images.poses))
+        cameras = {
+            name: each.check(images, lambda done, total: progress("fitting the camera", done, total))
+            for name, each in views.items()
+        }
     if model is not None:
         posed = np.concatenate([walk.posed for walk in walks])
         predictions = Predictions.of(predicted, images.poses if images is not None else walks[0].poses, posed)

@@ -2,7 +2,9 @@
 
 import json
 import re
+import tempfile
 from dataclasses import replace
+from io import BytesIO
 
 import cv2
 import numpy as np
@@ -40,11 +42,12 @@ def room():
 
 
 def _checked(room, poses, *, stated, image=None):
-    views = CameraViews()
-    for number, pose in enumerate(poses[i] for i in range(len(poses))):
-        shown = room.view(pose) if image is None else image
-        views.take(Frame(number, shown, None, pose, stated), number)
-    return views.check(recorded(poses))
+    with tempfile.TemporaryFile() as file:
+        views = CameraViews(None, file)
+        for number, pose in enumerate(poses[i] for i in range(len(poses))):
+            shown = room.view(pose) if image is None else image
+            views.take(Frame(number, shown, None, pose, stated), number)
+        return views.check(recorded(poses))
 
 
 def _recorded(room, path, stated, count=30):
@@ -68,9 +71,12 @@ def test_intrinsics_that_are_right_are_not_doubted(room):
     assert alike.endswith(f"{agreeing} of matches agree either way, and images are localized within 0.8 cm either way")
 
 
-def test_a_wrong_focal_length_is_said_once_with_what_fits(room, tmp_path):
+def test_a_wrong_focal_length_is_said_once_with_what_fits(room, tmp_path, monkeypatch):
     path = _recorded(room, tmp_path / "w.mcap", _WRONG)
+    files, temporary_file = [], tempfile.TemporaryFile
+    monkeypatch.setattr(tempfile, "TemporaryFile", lambda: files.append(temporary_file()) or files[-1])
     found = inspect([path])
+    assert [file.closed for file in files] == [True]  # one of a camera
     assert any(check.focal is not None for walk in found.walks for check in walk.checks)
     sentence = only(found, "intrinsics")
     assert sentence in found.verdict.advice
@@ -101,7 +107,7 @@ def test_what_tells_nothing_of_a_camera_is_no_failure(room):
     turned = walk(20, moves=False)
     others = Poses(np.swapaxes(turned.rotation, 1, 2), walk(20, seed=3).translation)
     for found in (
-        CameraViews().check(None),
+        CameraViews(None, BytesIO()).check(None),
         _checked(room, walk(20)[:1], stated=CAMERA),
         _checked(room, walk(20), stated=CAMERA, image=white),
         _checked(room, turned, stated=CAMERA),
